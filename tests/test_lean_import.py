@@ -67,6 +67,7 @@ def test_a_deferred_package_that_is_used_at_once_is_imported_at_once(tmp_path):
     assert sys.modules["rl_wanted"].half(6) == 3
 
 
+@pytest.mark.slow
 def test_a_kalman_filter_imported_without_its_statistics_has_them_when_they_are_asked_for():
     program = (
         "import sys; from estimator.lean_import import import_lean;"

@@ -22,6 +22,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(drive("urban", 2, 1), tmp_path_factory.mktemp("answers") / "drive.blf")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["estimate", "replay", "inspect", "check", "diagnose"])
 def test_a_command_that_reads_a_log_prints_its_type(log: Path, command: str) -> None:
     assert next(iter(ask(command, log))) == "schema"

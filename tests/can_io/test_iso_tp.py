@@ -211,6 +211,7 @@ answers = st.tuples(st.sampled_from([0x7EC, 0x7BB]), st.integers(1, 130), st.flo
 faults = st.tuples(st.integers(0, 400), st.sampled_from(["drop", "repeat", "swap", "cut", "late", "flow"]))
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.lists(answers, max_size=12), st.lists(faults, max_size=4), st.lists(st.integers(0, 200), max_size=5))
 def test_any_traffic_in_any_batches_gives_the_same_bits(

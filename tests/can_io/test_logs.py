@@ -345,6 +345,7 @@ def test_csv_of_something_else(tmp_path: Path) -> None:
     assert "expected the header" in message_of(tmp_path / "a.csv")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".asc", ".csv", ".trc"])
 def test_damaged_text_is_read_or_refused(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"drive{suffix}"

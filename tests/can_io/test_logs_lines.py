@@ -265,6 +265,7 @@ def trc_lines(version: str, start: int, count: int, rng: np.random.Generator) ->
     return lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("version", ["1.0", "1.1", "1.3", "2.0", "2.1"])
 def test_trc_is_read_as_python_can_reads_it(version: str, end: str) -> None:

@@ -106,6 +106,7 @@ def test_every_layout_is_read_as_python_can_reads_it(tmp_path: Path, style: Styl
     assert_same(found, Frames.from_messages(messages))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("packing", PACKINGS, ids=str)
 @pytest.mark.parametrize(
     "layout", [*LAYOUTS, {"is_column_store": True}, {"is_column_store": True, "payload": "values"}]
@@ -191,6 +192,7 @@ def kinds(*sizes: int) -> tuple[Group, ...]:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(st.integers(0, 1 << 32), st.lists(st.sampled_from([0, 1, 7, 22, 90]), min_size=1, max_size=4), st.integers(0, 4))
 def test_stretches_side_by_side_find_the_records_that_one_after_the_other_finds(
@@ -258,6 +260,7 @@ DAMAGED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("style", DAMAGED, ids=str)
 def test_damage_is_read_or_refused(tmp_path: Path, style: Style) -> None:
     assert_read_or_refused(tmp_path / "a.mf4", mdf(WHOLE, style), np.random.default_rng(3), rounds=150)

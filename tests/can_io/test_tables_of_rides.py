@@ -46,6 +46,7 @@ def test_rides_of_bicycle_computers_are_read(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(rows.context[Role.ALTITUDE][middle], 100.0 + 0.2 * t[middle], atol=0.15)
 
 
+@pytest.mark.slow
 def test_signals_of_an_mf4_file_are_read(tmp_path: Path) -> None:
     """Two groups with times of their own, as a measurement program writes them, in more than one piece of rows."""
     asammdf = pytest.importorskip("asammdf")
@@ -83,6 +84,7 @@ def forged(fields: bytes, records: bytes) -> bytes:
     return head + body + struct.pack("<H", checksum(head + body))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [

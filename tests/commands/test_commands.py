@@ -216,6 +216,7 @@ REMEDIES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("left_out", "missing", "remedy"), REMEDIES)
 def test_the_remedy_for_missing_inputs_can_be_pasted_and_works(
     cli: Cli, tmp_path: Path, traffic: Frames, left_out: tuple[int, ...], missing: str, remedy: str
@@ -380,6 +381,7 @@ def test_a_command_that_is_stopped_says_so_and_leaves_no_file(
     assert signal.getsignal(signal.SIGTERM) == before
 
 
+@pytest.mark.slow
 def test_outputs_that_are_closed_or_narrow_are_no_error(log: Path) -> None:
     program = "import sys; sys.stdout = None; from estimator.commands.main import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, "inspect", str(log)]

@@ -94,6 +94,7 @@ def test_a_command_imports_its_own_needs_only(command: str) -> None:
     assert not OTHER_COMMANDS[command] & modules
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_fleet_imports_no_diagnosis() -> None:
     program = "import sys, estimator.fleet.run; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -116,6 +116,7 @@ def test_a_terminal_is_left_as_it_was_with_the_table(
     assert "90 % interval" in table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["estimate", "replay", "watch"])
 def test_ctrl_c_leaves_what_is_known(
     cli: Callable[..., Outcome], log: Path, monkeypatch: pytest.MonkeyPatch, command: str

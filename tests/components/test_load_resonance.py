@@ -44,6 +44,7 @@ def test_a_mass_is_at_rest_after_a_gap():
     assert ringing(whole, 2.0, 0.1)[90:] == pytest.approx(ringing(apart, 2.0, 0.1), abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [2.0, 2.6, 4.0])
 def test_a_load_that_swings_is_seen_with_its_period(period):
     plain = driven(minutes=30.0)

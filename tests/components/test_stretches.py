@@ -107,6 +107,7 @@ def test_nearly_the_whole_drive_is_no_stretch_of_it():
     assert not list(stretches(frame, ()))
 
 
+@pytest.mark.slow
 def test_steep_stretches_are_the_roads(steep):
     (drive,) = steep.drives
     assert steep.chosen == ()
@@ -140,6 +141,7 @@ def test_a_level_road_has_none_of_them(steep):
     assert hills > 100
 
 
+@pytest.mark.slow
 def test_a_load_of_one_power_in_all_its_times_is_named():
     explained = Search((state_of(driven(power=60e3)),), EFFECTS[:2]).result()
     (choice,) = explained.chosen

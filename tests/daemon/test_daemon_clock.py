@@ -51,6 +51,7 @@ def test_time_runs_on_through_many_steps() -> None:
     np.testing.assert_allclose(t - t[0], truth - truth[0], atol=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.15, 0.3, 0.9])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_small_steps_every_minute_are_taken_out_too(size: float, sign: int) -> None:

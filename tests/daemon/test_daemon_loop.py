@@ -164,6 +164,7 @@ def test_our_name_at_another_address_silences_us_for_seconds_and_not_for_good(se
     assert sending.transmitter.events["NAME used by another"] == 1
 
 
+@pytest.mark.slow
 def test_forged_claims_of_all_addresses_silence_us_only_as_long_as_they_last(sending: Bench) -> None:
     lower = {
         address: bytes(Name(identity=address, manufacturer=0, function=0, industry_group=0))

@@ -143,6 +143,7 @@ def test_the_estimate_of_a_run_that_died_is_withdrawn_by_the_next(broker: Broker
     first.channel.close()
 
 
+@pytest.mark.slow
 def test_an_estimate_expires_in_the_broker_when_the_daemon_is_gone(broker: Broker) -> None:
     sender = Sender(broker.port, period_s=1, expire_after_s=2)
     sender.offer(report())

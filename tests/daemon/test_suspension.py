@@ -30,6 +30,7 @@ def said(messages: list[can.Message], group: str) -> list[dict[str, object]]:
     return [LAYOUTS[m.arbitration_id >> 8 & 0x3FFFF].decode(bytes(m.data)) for m in found]  # type: ignore[misc]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leaves_frames", [False, True])
 @pytest.mark.parametrize(
     ("asleep", "status"), [(10.0, "estimated"), (600.0, "estimated"), (7200.0, "stale"), (3 * 86400.0, "stale")]

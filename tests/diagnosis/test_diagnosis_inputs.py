@@ -110,6 +110,7 @@ def test_the_reason_is_read_on_the_terminal_and_on_the_page(urban, log, tmp_path
     assert reason in report.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("without", "missing"),
     [
@@ -125,6 +126,7 @@ def test_without_power_or_speed_it_is_an_error(urban, log, capsys, without, miss
 # Effects that are asked for
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gravity", "Grade", ""])
 def test_an_effect_that_is_not_known(urban, log, tmp_path, capsys, name):
     path, file = log(urban), tmp_path / "c.toml"
@@ -161,6 +163,7 @@ def test_a_report_is_written_whole_or_not_at_all(urban, log, tmp_path, capsys):
     assert {entry.name for entry in tmp_path.iterdir()} == {"poor.blf", "cut.blf", "report.html"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["report.pdf", "nowhere/report.html", "poor.blf"])
 def test_a_report_that_cannot_be_is_refused_before_the_work(urban, log, tmp_path, capsys, name):
     path = log(urban)

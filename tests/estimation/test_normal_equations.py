@@ -54,6 +54,7 @@ def test_the_freedom_of_the_slopes_is_that_of_the_dense_covariance(shown, alpha,
     assert (found.sum() > 1) == (alpha != LEVEL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
 @pytest.mark.parametrize("alpha", [2, 4])
 def test_the_variance_of_the_slopes_is_that_of_many_draws(shown, alpha):
@@ -118,6 +119,7 @@ def test_each_change_has_the_columns_of_the_road_load_once_more():
     assert not by_force[:, LAG].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.0, pytest.param(0.5, marks=pytest.mark.nightly)])
 def test_a_driver_who_answers_slopes_makes_the_mass_too_large_by_what_is_corrected(share):
     """Many drives over roads of the model, with the same driving but for the answers."""

@@ -116,6 +116,7 @@ def test_the_average_has_the_variance_of_its_parts_and_half_the_change():
     assert_allclose(averaged.covariance, covariance)
 
 
+@pytest.mark.slow
 def test_a_drive_that_does_not_change_keeps_its_interval():
     widened = []
     for seed in range(8):

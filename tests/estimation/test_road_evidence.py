@@ -45,6 +45,7 @@ def fits(strides: Strides) -> tuple[RoadFit, RoadFit]:
     return level, sloping
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_of_a_level_road_does_not_hide_its_slopes(seed: int) -> None:
     """On a level road the noise grows until it holds the slopes, and from there none are found."""
@@ -56,6 +57,7 @@ def test_noise_of_a_level_road_does_not_hide_its_slopes(seed: int) -> None:
     assert found >= log_bayes_factor_of_road(strides, level)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_level_road_has_no_slopes(seed: int) -> None:
     strides = driven(0.0, seed)

@@ -37,6 +37,7 @@ def log_posterior(found, scales, free) -> float:
     return found.log_evidence(scales) - 0.5 * float(np.sum(np.square(z)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shown",
     [(), ("altitude",), pytest.param(("altitude", "grade", "gravity"), marks=pytest.mark.nightly)],
@@ -141,6 +142,7 @@ def test_what_slow_bends_add_to_an_accelerometer_is_no_wander_of_it():
     assert memory > 30.0  # s, and 5 s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("designed", [True, False])
 def test_a_road_that_is_designed_for_its_speed_is_told_from_one_whose_slopes_change_with_distance_alone(designed):
     rng, n, (A, C, m) = np.random.default_rng(1), 1500, (1500.0, 3.5, 20e3)
@@ -184,6 +186,7 @@ def fitted(turned: bool, seed: int) -> tuple[Strides, RoadFit]:
     return strides, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3))])
 @pytest.mark.parametrize("turned", [True, False])
 def test_a_turn_is_told_from_other_slow_places(turned, seed):

@@ -101,6 +101,7 @@ def test_a_shape_with_the_wrong_sign_adds_nothing():
     assert (gains < 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tau", [600.0, 960.0])
 def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
     strides = driven(size=60.0, term=EffectTerm(OIL, (tau, 0.0)))
@@ -111,6 +112,7 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
     assert term.shape[0] == pytest.approx(tau, rel=0.7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "size", "start"),
     [(EffectTerm(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (EffectTerm(OIL, (700.0, 2.0)), 50.0, COLD[:1])],

@@ -19,6 +19,7 @@ def change(of, scales, i):
     return (of(at(scales, i, STEP)) - of(at(scales, i, -STEP))) / (2 * STEP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
 @pytest.mark.parametrize(("alpha", "wander"), ORDERS)
 def test_the_gradient_is_that_of_the_log_evidence(shown, alpha, wander):
@@ -58,6 +59,7 @@ def test_the_information_without_the_gradient_is_the_same(shown):
     assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_on_data_drawn_from_the_model_the_mean_score_is_zero_and_its_variance_the_information():
     likelihood = likelihood_of(strides_of(60, unknown=(), silence=60))
     model, scales = likelihood.model, scales_of(likelihood.model, 6)

@@ -116,6 +116,7 @@ def test_half_of_the_mass_cut_off_is_no_reason_to_change_the_kernel(parameter):
     assert others.mean(axis=0) == pytest.approx(CORRELATION[parameter] * np.sqrt(2 / np.pi), abs=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("beyond", [3.0, 30.0])
 def test_box_far_from_the_fitted_point(kernel, beyond):

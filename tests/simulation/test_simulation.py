@@ -87,6 +87,7 @@ def test_driveline_losses_are_paid_by_the_engine():
     np.testing.assert_allclose(wheel[pulling], 0.95 * truth.power[pulling], rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["urban", "mixed", "highway"])
 def test_driver_keeps_to_the_speed_of_the_road(kind):
     rng = np.random.default_rng(7)

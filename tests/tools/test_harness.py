@@ -118,6 +118,7 @@ def test_what_is_kept_names_its_check_version_and_options() -> None:
         assert record["figures"]
 
 
+@pytest.mark.slow
 def test_no_test_module_imports_another() -> None:
     """What several of them need is in tests/support."""
     imported = set()
