@@ -6,6 +6,7 @@ import subprocess
 import threading
 from argparse import Namespace
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -343,11 +344,12 @@ class Impostor:
     def _serve(self) -> None:
         for answer in self._answers:
             connection, _ = self._socket.accept()
-            connection.recv(1000)
-            connection.sendall(answer)
             self._held.append(connection)
-            if not self._holds:
-                connection.shutdown(socket.SHUT_WR)
+            with suppress(OSError):  # the other end may be the first to leave
+                connection.recv(1000)
+                connection.sendall(answer)
+                if not self._holds:
+                    connection.shutdown(socket.SHUT_WR)
 
     def close(self) -> None:
         self._thread.join(PATIENCE)
