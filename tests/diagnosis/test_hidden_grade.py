@@ -6,7 +6,7 @@ from simulated_logs import ask, drive, named, written
 from estimator.signals import Role
 from estimator.simulation.effects.effect import Effect
 
-pytestmark = [pytest.mark.slow, pytest.mark.nightly]
+pytestmark = pytest.mark.slow
 
 NO_OTHER = (Role.GRADE, Role.LONGITUDINAL_ACCELERATION)
 
@@ -20,6 +20,7 @@ def diagnose(tmp_path):
     return diagnosis
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_altimeter_too_noisy_to_show_hills_does_not_deny_them(diagnose, seed):
     answer = diagnose("highway", seed, Effect(name="grade", magnitude=0.005), 20.0)
@@ -27,12 +28,14 @@ def test_an_altimeter_too_noisy_to_show_hills_does_not_deny_them(diagnose, seed)
     assert answer["effects"][0]["detail"] == "varies with place; shown in part by altitude"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [2])
 def test_on_a_rough_road_that_an_altimeter_shows_flat_there_are_no_hills(diagnose, seed):
     answer = diagnose("highway", seed, Effect(name="road_surface", magnitude=0.6), 1.0)
     assert (answer["verdict"], named(answer)) == ("unknown effect", [])
 
 
+@pytest.mark.nightly
 def test_a_good_altimeter_names_the_hills_itself(diagnose):
     answer = diagnose("highway", 2, Effect(name="grade", magnitude=0.005), 1.0)
     assert named(answer)[0] == "grade"
