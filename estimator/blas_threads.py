@@ -4,10 +4,20 @@ The matrices of an estimate have tens of columns. BLAS splits their products amo
 spend more time on waiting for each other than on computing.
 """
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
+
+
+def start_no_blas_threads() -> None:
+    """Keep a BLAS library from starting threads when it is loaded, here and in the processes that this one starts.
+
+    OpenBLAS, which numpy and scipy each bring, starts one a processor, and they wait busily: 0.4 s of processor time in
+    each command on two processors. A number that the user has set is kept.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @contextmanager

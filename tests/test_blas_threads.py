@@ -1,5 +1,8 @@
 """The program holds BLAS to one thread by itself, whatever the environment allows."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -59,3 +62,15 @@ def test_the_daemon_runs_with_one_blas_thread() -> None:
         supervise(make_plan, Signals())
     assert seen == {1}
     assert threads() == {ALLOWED}
+
+
+@pytest.mark.parametrize(("allowed", "started"), [("", "1"), ("2", "2")])
+def test_a_command_starts_no_threads_unless_the_user_wants_them(allowed: str, started: str) -> None:
+    program = (
+        "from estimator.commands.main import main; main(['estimate', 'nowhere.asc']);"
+        "from threadpoolctl import threadpool_info; print(*{library['num_threads'] for library in threadpool_info()})"
+    )
+    inherited = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment = inherited | ({"OPENBLAS_NUM_THREADS": allowed} if allowed else {})
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.split() == [started]

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 from estimator import __version__
+from estimator.blas_threads import start_no_blas_threads
 from estimator.commands.complaints import complain, show_traceback
 from estimator.errors import RoadloadError
 from estimator.freed_memory import keep_freed_memory
@@ -38,6 +39,7 @@ COMMANDS = {  # module of this package, and its use
 def main(arguments: list[str] | None = None) -> int:
     """Run one subcommand; returns the exit status: 0, 2 for bad input, 1 for a run that could not finish."""
     keep_freed_memory()
+    start_no_blas_threads()
     _prepare_output()
     arguments = sys.argv[1:] if arguments is None else arguments
     is_debugged = "--debug" in arguments
