@@ -76,15 +76,11 @@ class JointLikelihood(SetLikelihood):
         return self.conditioned.gram(data.tocsr())  # via columns: four times as fast as directly to rows
 
     def _noise(self, fit: RoadFit) -> Floats:
-        """Mean contribution (p, p) of noise of the measured force to the products of all columns.
-
-        See `Likelihood.noise_information`.
-        """
+        """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
         mass, (changed, by_force) = 1 / float(fit.beta[0]), self._change_by_force
         total = np.zeros((len(self.unit), len(self.unit)))
-        noise = by_force.T @ by_force.multiply(self.conditioned.torque_leverage[:, None])
-        total[np.ix_(changed, changed)] = mass**2 * noise.toarray()
-        total[LAG, LAG] = (mass / self.unit[LAG]) ** 2 * self.conditioned.rate_information
+        total[np.ix_(changed, changed)], of_rate = self.conditioned.torque_noise(mass * by_force)
+        total[LAG, LAG] = (mass / self.unit[LAG]) ** 2 * of_rate
         return total
 
     def _driver_correction(self, base: Likelihood, fit: RoadFit) -> Floats:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from estimator.model.gram import Rows, gram
 from estimator.model.linear_gaussian import Factor, both_triangles
@@ -18,6 +19,19 @@ from estimator.model.road import RoadModel
 from estimator.signals import Floats
 
 TOGETHER = 16  # draws that are made at once: bounds the memory beside the draws themselves
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Shares:
+    """Diagonals of products of K^-1 and covariances: of the accelerations by the slopes (n,) and by the torque's noise.
+
+    ``slope_variance`` (N,) [1] is that of the slopes at the nodes, ``of_torque_rate`` the trace for the noise's rate.
+    """
+
+    of_slopes: Floats
+    of_torque: Floats
+    slope_variance: Floats
+    of_torque_rate: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,16 +66,18 @@ class Conditioned:
         )
 
     @cached_property
-    def _moments(self) -> tuple[Floats, Floats, Floats, float]:
-        """`leverage` (n,), `slope_variance` (N,), `torque_leverage` (n,) and `rate_information`."""
-        model, scales, n = self.model, self.scales, self.model.counts[0]
-        variance, products = self.variance[:n], both_triangles(self.factor.covariance())
-        inverse = (1 - model.motion_variance(products) / variance) / variance  # diagonal of K^-1
-        of_torque = model.shared_with_torque(products) / variance + inverse * model.torque_variance(scales)
-        rates = float(inverse @ model.torque_rate_variance(scales))
-        if model.is_level:
-            return np.zeros(n), np.zeros(len(model.nodes.s)), of_torque, rates
-        return model.shared_with_slopes(products) / variance, model.slope_variance(products), of_torque, rates
+    def _shares(self) -> _Shares:
+        """All that the covariance of the unknowns is needed for: it is too large to be kept."""
+        model, variance = self.model, self.variance[: self.model.counts[0]]
+        torque, products = model.force_noises[0], both_triangles(self.factor.covariance())
+        inverse = (1 - model.motion_variance(products) / variance) / variance
+        of_torque = model.shared_with_torque(products) / variance + inverse * torque.remaining(self.scales)
+        of_slopes: Floats = np.zeros(len(variance))  # of a level road
+        slope_variance: Floats = np.zeros(len(model.nodes.s))
+        if not model.is_level:
+            of_slopes, slope_variance = model.shared_with_slopes(products) / variance, model.slope_variance(products)
+        rate = float(inverse @ torque.rate_variance(self.scales))
+        return _Shares(of_slopes=of_slopes, of_torque=of_torque, slope_variance=slope_variance, of_torque_rate=rate)
 
     @property
     def leverage(self) -> Floats:
@@ -70,22 +86,23 @@ class Conditioned:
         It is the diagonal of the product of K^-1 and the prior covariance of the accelerations by the slopes alone. Its
         sum is the effective number of parameters of the slopes.
         """
-        return self._moments[0]
+        return self._shares.of_slopes
 
     @property
     def slope_variance(self) -> Floats:
         """Posterior variance (N,) [1] of the slope at each node of the road, given the parameters."""
-        return self._moments[1]
+        return self._shares.slope_variance
 
-    @property
-    def torque_leverage(self) -> Floats:
-        """Share (n,) of each driven stride's acceleration that noise of the torque may explain, like `leverage`."""
-        return self._moments[2]
+    def torque_noise(self, by_torque: sp.csc_array) -> tuple[Floats, float]:
+        """Mean products d' K^-1 d of columns that noise of the torque, as an acceleration, changes by d.
 
-    @property
-    def rate_information(self) -> float:
-        """Sum over the driven strides of (K^-1)_ii times the variance [m^2/s^6] of the rate of the torque's noise."""
-        return self._moments[3]
+        Returns those (c, c) of columns that change by ``by_torque`` (n, c) times it, and that of its rate. With S its
+        covariance and G = ``by_torque``, they are sum_i (K^-1 S)_ii G_i G_i', which is exact where G is constant. Where
+        G changes from stride to stride, the squares of 30 columns of a diagnosis are within 3 % of simulated ones; that
+        of the rate, which is taken as white, is within 12 %.
+        """
+        products: Floats = (by_torque.T @ by_torque.multiply(self._shares.of_torque[:, None])).toarray()
+        return products, self._shares.of_torque_rate
 
     def gram(self, data: Rows) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""

@@ -29,7 +29,6 @@ signals then follow those of the motion, and the band is a quarter as wide.
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -39,8 +38,9 @@ from numpy.typing import NDArray
 
 from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
 from estimator.model.matern import MaternField
-from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
+from estimator.model.ornstein_uhlenbeck import Chain
 from estimator.model.road_nodes import SIGNALS, Nodes, Place, Reading
+from estimator.model.road_processes import Acting, ForceNoise
 from estimator.model.road_scales import (
     DISTURBANCE,
     LENGTH,
@@ -65,20 +65,6 @@ HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numericall
 START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up
 _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the stride's mean
-
-
-@dataclass(frozen=True, kw_only=True)
-class Acting:
-    """Process among the unknowns, with the scales that it is conditioned with.
-
-    ``sd`` is its standard deviation and ``memory`` its correlation time [s] or length [m]. ``by`` (2, k) is the
-    derivative of the logarithms of both by those of the scales.
-    """
-
-    process: Chain | MaternField
-    sd: float
-    memory: float
-    by: Floats
 
 
 class RoadModel:
@@ -114,8 +100,7 @@ class RoadModel:
         gearing = driven.filled_gearing
         self.weight = gearing / np.median(gearing)  # of the torque's error in each stride's force
         of_power = np.median(driven.speed) / driven.speed  # of the power's error in each stride's force
-        # Place of the scales of each noise of the force, and its share in each stride.
-        self._shares = ((TORQUE, self.weight), (POWER, of_power))[: 1 + power]
+        self.force_noises = (ForceNoise(TORQUE, self.weight), ForceNoise(POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
         self.nodes = Nodes.under(strides)
         readings = [Reading.of(name, strides, self.nodes) for name in SIGNALS]
@@ -169,7 +154,7 @@ class RoadModel:
         linked = np.zeros(len(order) - 1, dtype=bool)
         linked[self._before] = True
         self._linked = linked
-        groups = [self._ends_t + 1e-7 * i for i in range(1 + len(self._shares))]
+        groups = [self._ends_t + 1e-7 * i for i in range(1 + len(self.force_noises))]
         node_t = nodes.t + (np.ptp(self._ends_t) + np.ptp(nodes.t) if self.is_level else 0.0)
         groups += [np.empty(0) if self.is_level else node_t]
         groups += [node_t + 1e-7] if self.has_altitude else []
@@ -180,7 +165,7 @@ class RoadModel:
         rank[order] = np.arange(len(order))
         cut = np.cumsum([len(group) for group in groups])[:-1]
         parts = iter(np.split(rank, cut))
-        self._speed_error, self._force_errors = next(parts), [next(parts) for _ in self._shares]
+        self._speed_error, self._force_errors = next(parts), [next(parts) for _ in self.force_noises]
         self._slope = next(parts)
         self._height = next(parts) if self.has_altitude else np.empty(0, np.int64)
         self._wander = [next(parts) for _ in self.readings]
@@ -197,7 +182,7 @@ class RoadModel:
         ends = np.column_stack([self._before, self._after])
         places = [error[ends] for error in (self._speed_error, *self._force_errors)]
         weights = [np.tile([-1 / DURATION, 1 / DURATION], (len(self.driven), 1))]
-        weights += [-0.5 * np.repeat(share[:, None], 2, axis=1) for _, share in self._shares]
+        weights += [-0.5 * np.repeat(noise.share[:, None], 2, axis=1) for noise in self.force_noises]
         return np.hstack(places), np.hstack(weights)
 
     @cached_property
@@ -247,7 +232,7 @@ class RoadModel:
         self._maps = [Observations(p, w, shape) for p, w in maps]
         self._shape = shape
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
-        self._force_noises = [Chain(self._ends_t, error, self._linked) for error in self._force_errors]
+        self._force_processes = [Chain(self._ends_t, error, self._linked) for error in self._force_errors]
         self._wanders = [self._wandering(places) for places in self._wander]
 
     def _wandering(self, places: Places) -> Chain | MaternField:
@@ -289,7 +274,7 @@ class RoadModel:
         unit = np.eye(len(scales))
         processes = [
             Acting(process=self._speed_noise, sd=speed, memory=1.0, by=np.array([unit[SPEED], 0 * unit[SPEED]])),
-            *(_force_noise(noise, scales, at) for noise, (at, _) in zip(self._force_noises, self._shares, strict=True)),
+            *(n.acting(p, scales) for n, p in zip(self.force_noises, self._force_processes, strict=True)),
         ]
         if self._field is not None:
             processes.append(Acting(process=self._field, sd=slope, memory=length, by=unit[[SLOPE, LENGTH]]))
@@ -300,18 +285,8 @@ class RoadModel:
 
     def noise_variance(self, scales: Floats) -> Floats:
         """Variance [m^2/s^4] (n,) of the mean f and p of each stride, given their values at both ends."""
-        total: Floats = np.sum([_remaining(scales, at, share) for at, share in self._shares], axis=0)
+        total: Floats = np.sum([noise.remaining(scales) for noise in self.force_noises], axis=0)
         return total
-
-    def torque_variance(self, scales: Floats) -> Floats:
-        """Part (n,) of `noise_variance` by the torque."""
-        return _remaining(scales, *self._shares[0])
-
-    def torque_rate_variance(self, scales: Floats) -> Floats:
-        """Variance [m^2/s^6] (n,) of the rate of f over each driven stride, between its ends."""
-        keep = np.exp(-DURATION / scales[TORQUE + 1])
-        variance: Floats = 2 * (1 - keep) * (scales[TORQUE] * self.weight / DURATION) ** 2
-        return variance
 
     def variances(self, scales: Floats) -> list[Floats]:
         """Variances of the observations of each kind, for ``scales`` (k,)."""
@@ -328,12 +303,8 @@ class RoadModel:
         variances, ends = self.variances(scales), np.cumsum(self.counts)
         change = np.zeros((ends[-1], len(scales)))
         n = self.counts[0]
-        for at, share in self._shares:
-            (_, remaining), (_, turned) = (
-                f(DURATION, scales[at + 1]) for f in (mean_given_ends, mean_given_ends_by_time)
-            )
-            change[:n, at] = 2 * scales[at] ** 2 * remaining * share**2
-            change[:n, at + 1] = scales[at] ** 2 * turned * share**2
+        for noise in self.force_noises:
+            change[:n, noise.at : noise.at + 2] = noise.remaining_by(scales)
         change[:n, DISTURBANCE] = 2 * scales[DISTURBANCE] ** 2
         first = len(self.counts) - len(self.readings)
         for i, reading in enumerate(self.readings):
@@ -446,28 +417,11 @@ class RoadModel:
     def sensor_errors(self, unknowns: Floats) -> Floats:
         """Acceleration [m/s^2] (n, ...) of the driven strides by e, f and p, without the white part w."""
         speed, turned = unknowns[self._speed_error], np.zeros((*unknowns.shape[1:], len(self.driven)))
-        for at, (_, share) in zip(self._force_errors, self._shares, strict=True):
+        for at, noise in zip(self._force_errors, self.force_noises, strict=True):
             error = unknowns[at]
-            turned += share * (error[self._before] + error[self._after]).T
+            turned += noise.share * (error[self._before] + error[self._after]).T
         errors: Floats = (speed[self._after] - speed[self._before]) / DURATION - 0.5 * turned.T
         return errors
-
-
-def _force_noise(process: Chain, scales: Floats, at: int) -> Acting:
-    """Process whose mean over a stride acts, with sd and time from the scales ``at`` and ``at + 1``."""
-    unit, time = np.eye(len(scales)), scales[at + 1]
-    weight, _ = mean_given_ends(DURATION, time)
-    turned = mean_given_ends_by_time(DURATION, time)[0] * unit[at + 1]
-    return Acting(
-        process=process, sd=2 * weight * scales[at], memory=time, by=np.array([unit[at] + turned, unit[at + 1]])
-    )
-
-
-def _remaining(scales: Floats, at: int, share: Floats) -> Floats:
-    """Variance (n,) of the mean of a noise over each stride, given its values at both ends."""
-    _, variance = mean_given_ends(DURATION, scales[at + 1])
-    remaining: Floats = scales[at] ** 2 * variance * share**2
-    return remaining
 
 
 def _largest_distance(places: Places, step: int) -> int:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from dense_road import (
     MIDDLE,
     ORDERS,
@@ -257,6 +258,18 @@ def test_the_noise_in_the_regressors_is_the_expectation_over_the_error_of_the_fo
     assert_allclose(found[LAG, LAG], expected[LAG, LAG], rtol=0.15)
     found[LAG, LAG] = expected[LAG, LAG]
     assert_allclose(found / np.outer(own, own), expected / np.outer(own, own), atol=1e-3)
+
+
+def test_noise_of_the_torque_in_columns_that_change_slowly_is_nearly_that_of_the_dense_covariance():
+    likelihood = likelihood_of(strides_of(120, unknown=(), silence=120))
+    model, scales, n = likelihood.model, scales_of(likelihood.model, 10), len(likelihood.model.driven)
+    dense, rng = Dense(model, scales), np.random.default_rng(5)
+    by_torque = np.column_stack([np.ones(n), np.linspace(-0.5, 0.5, n), 1 + np.cumsum(rng.normal(0.0, 0.05, n))])
+    products, _ = Conditioned.of(model, scales).torque_noise(sp.csc_array(by_torque))
+    expected = by_torque.T @ (np.linalg.inv(dense.K) * dense.force) @ by_torque
+    assert products[0, 0] == pytest.approx(expected[0, 0], rel=1e-3)
+    own = np.sqrt(np.diag(expected))
+    assert_allclose(products / np.outer(own, own), expected / np.outer(own, own), atol=0.03)
 
 
 def test_loads_before_the_present_one_have_masses_of_their_own():
