@@ -80,7 +80,9 @@ class HypothesisSpace:
             tuple(replace(term, max_size=np.inf, max_positive_size=np.inf) for term in terms) for terms in given
         ]
         terms_of_drives = zip(drives, given_without_limits, on_drives, strict=True)
-        self._joints = [drive.likelihood_of([*fixed, *free]) for drive, fixed, free in terms_of_drives]
+        self._likelihoods = [
+            drive.likelihood_of([*fixed, *free]).without_columns() for drive, fixed, free in terms_of_drives
+        ]
         count = [len(start) for start in given]
         self._numbers: list[dict[int, int]] = []
         for term_by_drive in self.by_drive:
@@ -107,19 +109,20 @@ class HypothesisSpace:
         With ``check_limits`` it is minus infinity if a magnitude is impossible, given terms excepted.
         """
         return sum(
-            joint.log_evidence(self._numbers_on(chosen, n), check_limits) for n, joint in enumerate(self._joints)
+            likelihood.log_evidence(self._numbers_on(chosen, n), check_limits)
+            for n, likelihood in enumerate(self._likelihoods)
         )
 
     def log_evidence_with(self, chosen: Sequence[int], added: Sequence[int], check_limits: bool = True) -> Floats:
         """`log_evidence` (c,) of the hypothesis with each of ``added``, one at a time."""
         total = np.zeros(len(added))
-        for n, joint in enumerate(self._joints):
+        for n, likelihood in enumerate(self._likelihoods):
             present, acting = self._numbers_on(chosen, n), [k for k, i in enumerate(added) if n in self.by_drive[i]]
             evidence = np.full(
-                len(added), joint.log_evidence(present, check_limits) if len(acting) < len(added) else 0.0
+                len(added), likelihood.log_evidence(present, check_limits) if len(acting) < len(added) else 0.0
             )
             numbers = [self._numbers[added[k]][n] for k in acting]
-            evidence[acting] = joint.log_evidence_with(present, numbers, check_limits)
+            evidence[acting] = likelihood.log_evidence_with(present, numbers, check_limits)
             total += evidence
         return total
 
@@ -140,11 +143,11 @@ class HypothesisSpace:
         hypotheses = [chosen if {self.keys[i][:2] for i in other} == groups else other for other in hypotheses]
         return tuple(
             _mixed(
-                joint.base_posterior(self._numbers_on(chosen, n)),
-                [joint.base_posterior(self._numbers_on(hypothesis, n)) for hypothesis in hypotheses],
+                likelihood.base_posterior(self._numbers_on(chosen, n)),
+                [likelihood.base_posterior(self._numbers_on(hypothesis, n)) for hypothesis in hypotheses],
                 weights,
             )
-            for n, joint in enumerate(self._joints)
+            for n, likelihood in enumerate(self._likelihoods)
         )
 
     def rivals(self, table: ModelTable) -> Iterator[tuple[int, EffectTerm, float]]:
@@ -165,7 +168,7 @@ class HypothesisSpace:
                         yield (
                             number,
                             term.effect_term,
-                            self._joints[number].amplitude(present, self._numbers[i][number]),
+                            self._likelihoods[number].amplitude(present, self._numbers[i][number]),
                         )
 
     def term(self, i: int) -> Term:

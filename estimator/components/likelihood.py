@@ -52,18 +52,25 @@ class JointLikelihood(SetLikelihood):
         self.stretches = np.arange(plain, base_size)  # their columns among those of all amplitudes
         columns, term_columns = _shared(terms, self.frame, base_size)
         self.response = base.data[:, 0]
-        parts = [sp.csc_array(base.data[:, 1:]), *(self._padded(part) for part in (steep, columns))]
-        self.columns = sp.hstack(parts, format="csc")  # of all amplitudes; most entries are zero
+        data = sp.hstack([sp.csc_array(base.data), self._padded(steep), self._padded(columns)], format="csc")
+        free = columns.shape[1]
+        del columns  # takes as much memory as the products need
+        self.columns: sp.csc_array = _behind_the_first(data)  # of all amplitudes; most entries are zero
         unit = np.concatenate([base.unit, np.ones(self.columns.shape[1] - plain)])
         stretch_precision = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
         base_precision = np.concatenate([np.diag(base.prior), stretch_precision])
-        super().__init__(self._products(self.columns), base_precision, self.terms, term_columns, unit)
-        widest = np.concatenate([base_precision, np.full(columns.shape[1], np.inf)])
+        super().__init__(self.conditioned.gram(data.tocsr()), base_precision, self.terms, term_columns, unit)
+        widest = np.concatenate([base_precision, np.full(free, np.inf)])
         for numbers, term in zip(term_columns, terms, strict=True):
             widest[numbers] = np.minimum(widest[numbers], term.sd**-2.0)
         with_prior = self._information + np.diag(widest)
         self._information -= limited(self._noise(fit), with_prior)
         self._moment = self._moment + DRIVER_FEEDBACK * self._driver_correction(base, fit)
+
+    def without_columns(self) -> SetLikelihood:
+        """The likelihood of the sets alone: on a long drive the columns take most of the memory."""
+        products = np.block([[np.array([[self._total]]), self._moment], [self._moment[:, None], self._information]])
+        return SetLikelihood(products, self._prior, self.priors, self.term_columns, self.unit)
 
     def _padded(self, columns: Floats | sp.sparray) -> sp.csc_array:
         """Columns (m, c) extended with zero rows to the length of the data (n, c)."""
@@ -130,6 +137,13 @@ class JointLikelihood(SetLikelihood):
         """Acceleration (n, ...) [m/s^2] of the strides: ``columns`` (k,), by number, times ``amplitudes`` (k, ...)."""
         modelled: Floats = self.columns[:, columns][: len(self.frame.strides)] @ amplitudes
         return modelled
+
+
+def _behind_the_first(data: sp.csc_array) -> sp.csc_array:
+    """Columns (n, c) of ``data`` (n, 1 + c) without the first one; they share its memory."""
+    start = data.indptr[1]
+    parts = data.data[start:], data.indices[start:], data.indptr[1:] - start
+    return sp.csc_array(parts, (data.shape[0], data.shape[1] - 1))
 
 
 def _shared(terms: Sequence[Term], frame: Frame, first: int) -> tuple[sp.csc_array, list[NDArray[np.int64]]]:

@@ -5,7 +5,7 @@ hypotheses of one term more. After each round, the scales of road and noise are 
 times of switching effects are proposed again.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,11 +19,14 @@ from estimator.components.model_table import MAX_TERMS, Hypothesis, ModelTable, 
 from estimator.components.search_result import SearchResult, log_evidence, ranked, search_result
 from estimator.model.effects.effect import Effect
 
+FIRST_SIZE = 2  # terms at most, of hypotheses in the first round
 MAX_ROUNDS = 20  # of table and scales, each found beside the other
 MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
 ROUNDING = (
     1e-6  # of log evidence: by less, a round that finds the same hypothesis and scales again differs by rounding alone
 )
+
+_Fit = tuple[float, tuple[DriveState, ...]]  # log posterior, and the drives fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,13 +44,19 @@ class _Round:
         """Log evidence of the chosen hypothesis plus its log prior odds."""
         return log_evidence(self.states) + self.space.log_prior(self.chosen, self.space.groups())
 
-    def expected_log_evidence(self, previous: float) -> float:
-        """Log evidence after MAX_TERMS further rounds, each with the gain of this one over ``previous``."""
-        value = log_evidence(self.states)
-        return value + MAX_TERMS * max(value - previous, 0.0)
+    def expected_log_posterior(self, plain: float) -> float:
+        """Log posterior if each of the terms up to MAX_TERMS that are still to come gains as much as this round.
+
+        The gain is over the start of the round, or over the log evidence of the ``plain`` drives, which is more where
+        the start has usual noise.
+        """
+        start = log_evidence(self.space.drives)
+        start += self.space.log_prior(self.space.fitted_hypothesis(), self.space.groups())
+        further = max(MAX_TERMS - len(self.chosen), 1)
+        return self.log_posterior + further * max(self.log_posterior - max(start, plain), 0.0)
 
     @property
-    def as_fitted(self) -> tuple[float, tuple[DriveState, ...]]:
+    def as_fitted(self) -> _Fit:
         """Log posterior and fitted drives of this round, without its table."""
         return self.log_posterior, self.states
 
@@ -80,6 +89,16 @@ class Search:
         self._candidates = CandidateTerms(effects, self._given, self._earlier_terms)
 
     @cached_property
+    def _first_round(self) -> _Round:
+        return self._round(self._drives, FIRST_SIZE, with_processes=False, with_stretches=False)
+
+    @property
+    def first_effects(self) -> _Fit:
+        """Gain in log posterior by the most probable effects of the first round, and the drives fitted with them."""
+        gain, states = self._first_round.as_fitted
+        return gain - log_evidence(self._drives), states
+
+    @cached_property
     def effects_only(self) -> tuple[DriveState, ...]:
         """Drives fitted with the most probable effects, without any process."""
         return self._with_effects_only()
@@ -103,33 +122,42 @@ class Search:
             last_round.space, last_round.table, last_round.chosen, last_round.states, ranking, self._effects
         )
 
-    @property
-    def _starts(self) -> Iterator[tuple[DriveState, ...]]:
-        """Starts of the search: the drives as fitted, and with usual noise if that of a drive is unusual."""
-        yield self._drives
-        if any(drive.has_unusual_noise for drive in self._drives):
-            yield tuple(drive.with_usual_noise() for drive in self._drives)
-
     def _with_effects_only(self, min_log_posterior: float = -np.inf) -> tuple[DriveState, ...]:
         """Drives fitted with effects only. Tables are not kept, because they take megabytes.
 
-        On a hidden road, the search with stretches also starts from the drives with and without the effects found
-        first: effects and stretches can absorb each other.
+        The search starts from the drives as they are. If their noise is then unusual, which may hide effects, it also
+        starts from usual noise.
 
         Raises
         ------
         _OutOfReachError
             No start would reach ``min_log_posterior``.
         """
-        fits = list[tuple[float, tuple[DriveState, ...]]]()
-        for start in self._starts:
+        fits = list[_Fit]()
+        with suppress(_OutOfReachError):
+            fits += self._effects_from(self._drives, min_log_posterior)
+        if any(drive.has_unusual_noise for drive in (fits[0][1] if fits else self._drives)):
             with suppress(_OutOfReachError):
-                fits.append(self._converged(start, min_log_posterior=min_log_posterior).as_fitted)
-                if any(drive.is_road_hidden for drive in start):
-                    fits += [self._converged(first, with_stretches=True).as_fitted for first in (fits[-1][1], start)]
+                usual = tuple(drive.with_usual_noise() for drive in self._drives)
+                fits += self._effects_from(usual, min_log_posterior)
         if not fits:
             raise _OutOfReachError
         return max(fits, key=lambda fit: fit[0])[1]
+
+    def _effects_from(self, start: tuple[DriveState, ...], min_log_posterior: float) -> list[_Fit]:
+        """Fit with effects found from a start. On a hidden road, the fits with stretches beside these and beside none.
+
+        Effects and stretches can absorb each other.
+
+        Raises
+        ------
+        _OutOfReachError
+            The search would not reach ``min_log_posterior``.
+        """
+        found = self._converged(start, min_log_posterior=min_log_posterior).as_fitted
+        if not any(drive.is_road_hidden for drive in start):
+            return [found]
+        return [found, *(self._converged(states, with_stretches=True).as_fitted for states in (found[1], start))]
 
     def _round(self, states: tuple[DriveState, ...], size: int, with_processes: bool, with_stretches: bool) -> _Round:
         """Make a table at the present scales, of hypotheses of up to ``size`` terms, or one more than act already."""
@@ -155,7 +183,7 @@ class Search:
         Raises
         ------
         _OutOfReachError
-            MAX_TERMS further rounds, each with the gain of the last, would not reach ``min_log_posterior``.
+            The search is not expected to reach ``min_log_posterior``; see `_Round.expected_log_posterior`.
         """
         best = self._best_round(states, with_processes, with_stretches, min_log_posterior)
         for number, state in enumerate(best.states):
@@ -174,9 +202,10 @@ class Search:
         """
         best, last, highest = None, None, log_evidence(states)
         value = highest
-        for size in range(2, MAX_ROUNDS + 2):
-            latest = self._round(states, size, with_processes, with_stretches)
-            if latest.expected_log_evidence(log_evidence(states)) < min_log_posterior:
+        for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
+            is_first = states is self._drives and not (with_processes or with_stretches)
+            latest = self._first_round if is_first else self._round(states, size, with_processes, with_stretches)
+            if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
             previous, value = value, latest.log_posterior
             if best is not None and value < highest - ROUNDING:

@@ -132,7 +132,7 @@ class SetLikelihood:
             [self._prior, *(np.full(len(self.term_columns[i]), self.priors[i].sd ** -2.0) for i in chosen)]
         )
 
-    def _set(self, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats]:
+    def _set(self, chosen: Sequence[int]) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Indices (p,) of base and set, their information (p, p) with the prior, and their prior precision (p,)."""
         columns = np.concatenate([np.arange(self.base_size), *(self.term_columns[i] for i in chosen)])
         prior = self._precision(chosen)

@@ -38,13 +38,22 @@ def search(
     earlier_terms = EarlierTerms()
     sloping = tuple(state for case in cases if (state := case.state(is_level=False)) is not None)
     sloping = sloping if len(sloping) == len(plain) else ()
-    level, slopes = None, _slopes(plain, sloping)
-    if slopes < thresholds.min_log_bf_slopes_tried:
-        level = Search(plain, candidates, earlier_terms).result()
-        slopes = _slopes(level.drives, sloping)
+    level, slopes, search_on_level = None, _slopes(plain, sloping), Search(plain, candidates, earlier_terms)
+    if slopes < thresholds.min_log_bf_slopes_tried or _are_explained(slopes, search_on_level, sloping, thresholds):
+        level = search_on_level.result()
+        if any(drive.fit.terms for drive in level.drives):
+            slopes = _slopes(level.drives, sloping)
     if not sloping or slopes < thresholds.min_log_bf_slopes_tried:
-        return replace(level or Search(plain, candidates).result(), slopes=slopes)
+        return replace(level or search_on_level.result(), slopes=slopes)
     return _on_either_road(plain, level, sloping, candidates, earlier_terms, thresholds)
+
+
+def _are_explained(
+    slopes: float, search_on_level: Search, sloping: Sequence[DriveState], thresholds: Thresholds
+) -> bool:
+    """True if effects on a level road add more evidence than ``slopes`` [nats], which are insignificant beside them."""
+    gain, with_effects = search_on_level.first_effects
+    return gain > slopes and _slopes(with_effects, sloping) < thresholds.min_log_bf_slopes
 
 
 def _on_either_road(

@@ -123,10 +123,14 @@ class Search:
 
     def model(self, scales: RoadScales) -> RoadModel:
         """The strides' model that belongs to scales; kept."""
-        key = (*scales.orders, scales.turns)
+        key = self._key(scales)
         if key not in self._models:
             self._models[key] = self._model_like(scales)
         return self._models[key]
+
+    @staticmethod
+    def _key(scales: RoadScales) -> tuple[int, int, bool, bool, tuple[Place, ...]]:
+        return (*scales.orders, scales.turns)
 
     def _model_like(self, scales: RoadScales) -> RoadModel:
         """A model that belongs to scales; one that is kept and differs in the road's design alone lends the rest."""
@@ -198,6 +202,7 @@ class Search:
             scales, evidence, varied, found = varied, found, scales, evidence
         if np.isfinite(found):
             self._lost.append(replace(varied, lost=()))
+        self._models = {self._key(scales): self.model(scales)}  # others take memory, and are not asked for again
         return scales, evidence, evidence - found
 
     def _start(self, other: RoadScales, scales: RoadScales) -> RoadScales:

@@ -45,19 +45,24 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
     )
 
 
-def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: Any) -> float:
+def rounds(
+    monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], *, stays_unusual: bool = False, **start: Any
+) -> float:
     """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive."""
     waiting = iter(script)
 
     class Scripted:
-        def __init__(self, *arguments: object) -> None:
-            self.chosen, self.value = next(waiting)
+        def __init__(self, drives: tuple[Any, ...], *arguments: object) -> None:
+            self.drives, (self.chosen, self.value) = drives, next(waiting)
 
         def groups(self) -> list[object]:
             return []
 
         def fitted(self, chosen: object) -> tuple[Any, ...]:
-            return (state(self.value, self.chosen),)
+            return (state(self.value, self.chosen, has_unusual_noise=stays_unusual),)
+
+        def fitted_hypothesis(self) -> tuple[()]:
+            return ()
 
         def log_prior(self, chosen: object, groups: object) -> float:
             return 0.0
@@ -71,6 +76,7 @@ def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: An
     monkeypatch.setattr(search, "HypothesisSpace", Scripted)
     monkeypatch.setattr(search, "weigh", lambda space, groups, size, start: SimpleNamespace(best=space.chosen))
     (found,) = Search((state(0.0, **start),), ()).effects_only
+    assert not list(waiting)
     return float(found.log_evidence)
 
 
@@ -106,9 +112,13 @@ def test_rounds_end_where_an_impossible_set_comes_again_with_the_same_evidence(m
 
 
 @pytest.mark.parametrize(("from_usual_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
-def test_where_noise_is_large_effects_are_looked_for_from_the_usual_noise_too(monkeypatch, from_usual_noise, best):
+def test_where_noise_stays_large_effects_are_looked_for_from_the_usual_noise_too(monkeypatch, from_usual_noise, best):
     script = [((1,), 29.5), ((1,), 30.0), ((2,), from_usual_noise - 0.5), ((2,), from_usual_noise)]
-    assert rounds(monkeypatch, script, has_unusual_noise=True, with_usual_noise=lambda: state(-50.0)) == best
+    assert rounds(monkeypatch, script, stays_unusual=True, with_usual_noise=lambda: state(-50.0)) == best
+
+
+def test_where_the_effects_found_leave_usual_noise_the_search_does_not_start_again(monkeypatch):
+    assert rounds(monkeypatch, [((1,), 29.5), ((1,), 30.0)], has_unusual_noise=True) == 30.0
 
 
 # Times
@@ -296,6 +306,65 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
 # The road
 
 
+def found_on_either_road(
+    monkeypatch: pytest.MonkeyPatch,
+    level: float,
+    signals: float | None = None,
+    gain: float = 0.0,
+    slopes: Sequence[float] = (50.0,),
+) -> tuple[SearchResult, list[str]]:
+    """Result of a search whose drives have a log posterior of 100 beside slopes and ``level`` without, and its order.
+
+    ``gain`` by effects of the first round on a level road; ``slopes``: their log Bayes factors, one after the other, of
+    which the last holds from then on.
+    """
+    scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
+    fit = SimpleNamespace(strides=np.zeros(9), scales=scales, terms=("an effect",))
+    drive: Any = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
+    unknown: dict[str, Any] = dict.fromkeys(SearchResult.__dataclass_fields__)
+    values, order = list(slopes), list[str]()
+
+    class Found:
+        def __init__(self, drives: tuple[Any, ...], effects: object, earlier_terms: object) -> None:
+            (self.road,) = drives
+            self.effects_only, self.first_effects = (drive,), (gain, (drive,))
+
+        def result(self) -> SearchResult:
+            order.append(self.road)
+            log_posterior = 100.0 if self.road == "sloping" else level
+            return SearchResult(**(unknown | {"drives": (drive,), "log_posterior": log_posterior}))
+
+        def result_above(self, min_log_posterior: float) -> SearchResult | None:
+            return self.result() if level > min_log_posterior else None
+
+    monkeypatch.setattr(road_comparison, "Search", Found)
+    monkeypatch.setattr(
+        road_comparison, "_slopes", lambda states, sloping=(): values.pop(0) if values[1:] else values[0]
+    )
+    monkeypatch.setattr(road_comparison, "log_bayes_factor_of_signals", lambda strides, fit: signals)
+    case = SimpleNamespace(terms=(), is_road_given=False, state=lambda is_level: "level" if is_level else "sloping")
+    cases, states = road_comparison.fitted_cases([case])
+    return road_comparison.search(cases, states, [], Thresholds()), order
+
+
+@pytest.mark.parametrize(
+    ("gain", "slopes", "order", "is_sloping"),
+    [
+        (60.0, (50.0, 3.0, 2.0), ["level"], False),  # effects explain the slopes
+        (60.0, (50.0, 3.0, 40.0), ["level", "sloping"], True),  # those of the first round do, but not all
+        (60.0, (50.0, 20.0), ["sloping"], True),  # slopes beside the effects
+        (40.0, (50.0, 20.0), ["sloping"], True),  # slopes explain more than effects
+        (0.0, (3.0, 3.0), ["level"], False),
+    ],
+)
+def test_the_level_road_is_searched_first_where_effects_explain_the_slopes(
+    monkeypatch, gain, slopes, order, is_sloping
+):
+    found, searched = found_on_either_road(monkeypatch, 80.0, gain=gain, slopes=slopes)
+    assert searched == order
+    assert bool(found.is_sloping) == is_sloping
+
+
 @pytest.mark.parametrize(
     ("level", "signals", "is_sloping", "is_hilly"),
     [
@@ -311,27 +380,5 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
 def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one(
     monkeypatch, level, signals, is_sloping, is_hilly
 ):
-    """Beside slopes the drives have a log posterior of 100."""
-    scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
-    fit = SimpleNamespace(strides=np.zeros(9), scales=scales)
-    drive: Any = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
-    unknown: dict[str, Any] = dict.fromkeys(SearchResult.__dataclass_fields__)
-
-    class Found:
-        def __init__(self, drives: tuple[Any, ...], effects: object, earlier_terms: object) -> None:
-            self.on_slopes, self.effects_only = drives == ("sloping",), (drive,)
-
-        def result(self) -> SearchResult:
-            log_posterior = 100.0 if self.on_slopes else level
-            return SearchResult(**(unknown | {"drives": (drive,), "log_posterior": log_posterior}))
-
-        def result_above(self, min_log_posterior: float) -> SearchResult | None:
-            return self.result() if level > min_log_posterior else None
-
-    monkeypatch.setattr(road_comparison, "Search", Found)
-    monkeypatch.setattr(road_comparison, "_slopes", lambda states, sloping=(): 50.0)
-    monkeypatch.setattr(road_comparison, "log_bayes_factor_of_signals", lambda strides, fit: signals)
-    case = SimpleNamespace(terms=(), is_road_given=False, state=lambda is_level: "level" if is_level else "sloping")
-    cases, states = road_comparison.fitted_cases([case])
-    found = road_comparison.search(cases, states, [], Thresholds())
+    found, _ = found_on_either_road(monkeypatch, level, signals)
     assert (bool(found.is_sloping), bool(found.is_hilly)) == (is_sloping, is_hilly)
