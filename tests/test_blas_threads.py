@@ -64,6 +64,7 @@ def test_the_daemon_runs_with_one_blas_thread() -> None:
     assert threads() == {ALLOWED}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("allowed", "started"), [("", "1"), ("2", "2")])
 def test_a_command_starts_no_threads_unless_the_user_wants_them(allowed: str, started: str) -> None:
     program = (

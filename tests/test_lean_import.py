@@ -79,6 +79,7 @@ def test_a_kalman_filter_imported_without_its_statistics_has_them_when_they_are_
     assert done.stdout.split() == ["False", "-0.919", "True"]
 
 
+@pytest.mark.slow
 def test_a_command_on_logs_imports_no_library_of_tables():
     program = (
         "import sys; from estimator.commands.main import main; main(['inspect', 'none.blf']);"
@@ -88,6 +89,7 @@ def test_a_command_on_logs_imports_no_library_of_tables():
     assert done.stdout.split() == ["can"]
 
 
+@pytest.mark.slow
 def test_a_command_imports_neither_compilers_nor_tables_and_leaves_them_to_others():
     program = (
         "import sys; from estimator.commands.main import main; main(['estimate', 'nowhere.asc']);"

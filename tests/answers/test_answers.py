@@ -89,6 +89,7 @@ def test_an_answer_without_a_schema_is_refused() -> None:
         decode(b'{"x":1.0}', Small)
 
 
+@pytest.mark.slow
 @given(st.none() | st.floats(allow_nan=False, allow_infinity=False))
 def test_an_answer_decodes_as_it_was_encoded(x: float | None) -> None:
     assert encode(Small(x=x)).startswith(b'{"schema":1,')

@@ -110,6 +110,7 @@ def test_units_with_signs_of_any_encoding(tmp_path: Path, encoding: str, role: s
     assert message.signals[0].conversion == conversion_of(unit) is not None
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, len(CAR) - 1), st.sampled_from(['"', "|", "@", "-", " ", "", "99", "SG_", "\n", "é", "1e999", "nan"])
 )

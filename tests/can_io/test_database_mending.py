@@ -256,6 +256,7 @@ def test_frame_formats_by_place_and_by_name(tmp_path: Path, value: str) -> None:
     assert database.get_message_by_name("CCVS1").protocol == ("j1939" if value in ("3", '"J1939PG"') else None)
 
 
+@pytest.mark.slow
 @given(st.text(st.sampled_from('BO_SG_VAL_CM_ 256CAR:|@+()[],"\\;\n\t0'), max_size=200))
 @settings(max_examples=300, deadline=None, derandomize=True)
 def test_anything_behind_a_message_leaves_it_readable(text: str) -> None:

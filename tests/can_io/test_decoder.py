@@ -391,6 +391,7 @@ def test_a_signal_that_does_not_fit_its_message_is_counted_and_not_an_error() ->
     assert result[1] == {"LARGE: short frame": 1}
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     st.lists(

@@ -59,6 +59,7 @@ def test_a_time_of_no_clock(refused: Refused, tmp_path: Path, time: str, suffix:
     assert str(path) in refused("estimate", path)
 
 
+@pytest.mark.slow
 def test_a_time_of_no_clock_in_a_blf(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "a.blf").write_bytes(blf_of(objects=[frame(10**9), frame(2**64 - 1)]))
     assert "missing inputs" in refused("estimate", tmp_path / "a.blf")  # 584 years are a time
@@ -82,6 +83,7 @@ def container(data: bytes) -> bytes:
     return struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, size, 10, 2, len(data)) + packed + bytes(size % 4)
 
 
+@pytest.mark.slow
 def test_a_blf_object_that_never_ends(refused: Refused, tmp_path: Path) -> None:
     endless = struct.pack("<4sHHLLLHHQ", b"LOBJ", 32, 1, 4_000_000, 65, 2, 0, 0, 0)
     pieces = [container(frame(0) + endless), *[container(bytes(60))] * 60_000]
@@ -196,6 +198,7 @@ def test_a_database_that_takes_minutes_or_gigabytes_to_parse(
     assert said in refused("estimate", plain(tmp_path), "--dbc", tmp_path / "a.dbc")
 
 
+@pytest.mark.slow
 def test_databases_that_are_too_large_together(refused: Refused, tmp_path: Path) -> None:
     for k in range(10):
         text = DBC.format("0|8").replace("M:", f"M{k}:") + f'CM_ "{"a" * 60_000}";\n' * 15

@@ -248,6 +248,7 @@ def test_any_traffic_in_any_batches_gives_the_same_bits(
     assert parts.rejected["BMS.Last: short frame"] == whole.rejected["BMS.Last: short frame"]
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.sampled_from([0x7EC, 0x7BB, 0x100]), st.binary(max_size=8)), max_size=40))
 def test_arbitrary_frames_never_raise(rows: list[tuple[int, bytes]]) -> None:

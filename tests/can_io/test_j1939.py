@@ -243,6 +243,7 @@ packets = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.lists(packets, max_size=60), st.lists(st.integers(0, 60), max_size=4))
 def test_arbitrary_frames_in_arbitrary_batches(events: list[Row], places: list[int]) -> None:
@@ -257,6 +258,7 @@ def test_arbitrary_frames_in_arbitrary_batches(events: list[Row], places: list[i
     assert all(8 < len(m.payload) <= MAX_BYTES for m in expected)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(
     st.lists(st.tuples(st.integers(0, 2), st.integers(9, 40), st.sampled_from([0.05, 0.05, 0.7])), max_size=12),
@@ -296,6 +298,7 @@ def test_many_broadcasts_at_once_are_joined_as_one_by_one(
     assert outcome(1) == outcome(10**9)
 
 
+@pytest.mark.slow
 def test_memory_is_bounded() -> None:
     rng = np.random.default_rng(1)
     n = 20_000

@@ -80,6 +80,7 @@ def line(draw: st.DrawFn) -> tuple[str, int, bytes]:
     return text, ident | (EXTENDED if extended else 0), data
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(lines=st.lists(line(), min_size=1, max_size=40), start=st.integers(0, 2_000_000_000), digits=st.integers(1, 9))
 def test_mixed_lines_are_read_exactly(lines: list[tuple[str, int, bytes]], start: int, digits: int) -> None:

@@ -93,6 +93,7 @@ def test_one_channel_is_chosen_by_its_name(tmp_path: Path, name: str, shared: bo
     assert payloads(open_log(path, NAMES[name])) == [bytes(m.data) for m in messages]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_channels_without_a_common_id_are_read_as_one_bus(tmp_path: Path, name: str) -> None:
     messages = two_buses(shared=False)
@@ -184,6 +185,7 @@ def test_commands_give_the_answer_of_the_channel_alone(cli: Cli, both: Path, tmp
         assert {k: v for k, v in other.items() if k != "log"} == {k: v for k, v in alone.items() if k != "log"}
 
 
+@pytest.mark.slow
 def test_a_command_without_a_choice_is_refused(cli: Cli, both: Path) -> None:
     fails(cli("estimate", both / "both.blf"), "channels 1 and 2 both send", "choose with --channel: it has channels 1")
 

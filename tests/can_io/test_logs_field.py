@@ -137,6 +137,7 @@ def as_mdf2csv(t: int, ident: int, extended: bool, data: bytes) -> str:
     return f"{t // 10**6}.{t % 10**6:06d};1;{ident:X};{int(extended)};{size};{size};0;0;0;{data.hex().upper()}\n"
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(frames=some_frames(), kind=st.sampled_from(["gvret", "crtd", "mdf2csv"]))
 def test_every_value_comes_back(

@@ -111,6 +111,7 @@ def outcome(path: Path) -> tuple[list[float], list[int], list[bytes], dict[str, 
     return frames.t.tolist(), frames.ident.tolist(), payloads, dict(log.skipped), error
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=80)
 @given(
     st.lists(csv_line().map(lambda line: line[0]) | odd_csv_line(), min_size=1, max_size=6),
@@ -166,6 +167,7 @@ def asc_line(draw: st.DrawFn) -> str:
     return f"1  {name}{' ' * draw(st.integers(1, 8))}{way}   d {len(data)} {digits}{tail}"
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=40)
 @given(st.lists(asc_line(), min_size=1, max_size=30), st.integers(0, 10**10))
 def test_asc_is_read_as_python_can_reads_it(events: list[str], start: int) -> None:

@@ -130,6 +130,7 @@ def test_every_layout_is_read_to_the_last_bit(layout: dict[str, Any], packing: d
     check()
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(recorded())
 def test_what_python_can_writes_is_read_as_it_reads_it(messages: list[can.Message]) -> None:
@@ -165,6 +166,7 @@ def random_frames(count: int, rng: np.random.Generator) -> list[Recorded]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", ["fixed", "values", "values first"])
 def test_pieces_are_decoded_as_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, payload: str) -> None:
     frames = random_frames(3000, np.random.default_rng(5))
@@ -220,6 +222,7 @@ def test_stretches_side_by_side_find_the_records_that_one_after_the_other_finds(
     assert bool(found.fault) == (steps[-1] == 0)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.lists(st.sampled_from([0.0, 1.0, 2.0, 3.0, 5.0]), max_size=12), min_size=1, max_size=4),
     st.integers(1, 5),

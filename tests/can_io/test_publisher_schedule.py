@@ -35,6 +35,7 @@ def times(start: float, distances: list[float]) -> list[float]:
     return result
 
 
+@pytest.mark.slow
 @given(starts, steps)
 def test_rates_over_random_polls(start: float, distances: list[float]) -> None:
     publisher = Publisher(Publish())
@@ -50,6 +51,7 @@ def test_rates_over_random_polls(start: float, distances: list[float]) -> None:
         assert stamps[group] == pytest.approx([start + 10 * k for k in range(int(elapsed / 10) + 1)], abs=1e-6)
 
 
+@pytest.mark.slow
 @given(starts, st.lists(st.floats(0.0, 5000.0), max_size=50))
 def test_no_burst_after_a_gap_and_stamps_in_order(start: float, distances: list[float]) -> None:
     publisher = Publisher(Publish())
@@ -62,6 +64,7 @@ def test_no_burst_after_a_gap_and_stamps_in_order(start: float, distances: list[
             last = frame.timestamp
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.none() | st.sampled_from(Status))))
 def test_same_polls_same_bytes(polls: list[tuple[float, Status | None]]) -> None:
     def run() -> list[tuple[float, int, bytes]]:
@@ -134,6 +137,7 @@ def test_estimate_from_a_time_to_come_is_not_trusted() -> None:
     assert read(frames, "EstimateAge") == read(frames, "MassMean") == "not available"
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(0.0, 0.5), min_size=2, max_size=100))
 def test_jitter_of_time_stamps_sends_nothing_twice(jitter: list[float]) -> None:
     publisher = Publisher(Publish())

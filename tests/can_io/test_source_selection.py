@@ -349,6 +349,7 @@ def test_a_state_that_is_none_is_refused(damage: dict):
 # Honest senders
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32),
@@ -366,6 +367,7 @@ def test_no_smooth_signal_with_noise_and_resolution_alternates(seed, n, noise, s
     assert not are_alternating(value, np.array([0, n]), 1.0, step)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32),

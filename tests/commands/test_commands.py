@@ -56,6 +56,7 @@ JSON_KEYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["replay", "estimate"])
 def test_json_is_one_object_with_the_agreed_keys(cli: Cli, log: Path, command: str) -> None:
     status, out, err = cli(command, log, "--json")
@@ -126,6 +127,7 @@ def test_log_empty(cli: Cli, tmp_path: Path) -> None:
     fails(cli("replay", tmp_path / "empty.blf"), "empty.blf")
 
 
+@pytest.mark.slow
 def test_log_truncated_leaves_no_output(cli: Cli, tmp_path: Path, log: Path) -> None:
     content = log.read_bytes()
     (tmp_path / "cut.blf").write_bytes(content[: len(content) * 2 // 3])
@@ -154,6 +156,7 @@ def test_unknown_configuration_key(cli: Cli, tmp_path: Path, log: Path) -> None:
     fails(cli("estimate", log, "--config", tmp_path / "c.toml"), "c.toml", "sample", "window")
 
 
+@pytest.mark.slow
 def test_inputs_missing_are_named_beside_those_found(cli: Cli, tmp_path: Path, log: Path) -> None:
     with can.LogReader(log) as reader, can.Logger(tmp_path / "deaf.blf") as writer:
         for message in reader:
@@ -181,6 +184,7 @@ def test_frames_out_of_order_are_counted(cli: Cli, tmp_path: Path, log: Path, co
     assert "time steps back from 1" in out
 
 
+@pytest.mark.slow
 def test_inspect_says_that_time_steps_back(cli: Cli, tmp_path: Path, log: Path) -> None:
     with can.LogReader(log) as reader:
         messages = list(reader)

@@ -181,6 +181,7 @@ def test_the_mass_of_a_polled_car(period: float) -> None:
     assert found.mass.sd < 0.1 * truck.mass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [0.2, 0.7, 1.9])
 def test_rows_of_polled_signals_are_the_same_live_and_at_once(period: float) -> None:
     frames, _ = car(period, 3.0)

@@ -131,6 +131,7 @@ def test_ctrl_c_leaves_what_is_known(
     assert "samples   " in out
 
 
+@pytest.mark.slow
 def test_ctrl_c_before_the_first_conclusion_is_said(
     cli: Callable[..., Outcome], log: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

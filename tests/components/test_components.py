@@ -167,6 +167,7 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
     assert shift[-1] / sd[-1] == pytest.approx(size / sd[-1], abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("auxiliary_load", 12e3), ("torque_bias", 90.0)])
 def test_a_fit_gives_an_effect_the_evidence_that_a_table_gives_it(name, size):
     """With its prior, its sign, and the power at idle, which tells an effect that the motion hardly shows."""
@@ -334,6 +335,7 @@ def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():
                 ) - np.count_nonzero(np.diff(on))
 
 
+@pytest.mark.slow
 def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
     effect, t = BY_NAME["auxiliary_cycling"], np.arange(400) + 0.5
     truth = ((100.4, 140.9), (250.2, 301.7))
@@ -393,6 +395,7 @@ def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     assert state.joint.posterior([0]).mean[-1] == pytest.approx(15e3, rel=0.1)
 
 
+@pytest.mark.slow
 @given(st.lists(st.booleans(), min_size=1, max_size=20), st.lists(st.booleans(), min_size=1, max_size=20))
 def test_times_of_one_or_both_and_of_one_alone_are_those_of_every_moment(one, other):
     def spans(on):
@@ -409,6 +412,7 @@ def test_times_of_one_or_both_and_of_one_alone_are_those_of_every_moment(one, ot
         assert within(without(a, b), k) == (within(a, k) and not within(b, k))
 
 
+@pytest.mark.slow
 def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked_for():
     state = DriveState.of(driven(600, power=np.full(600, 15e3)))
     found = Search((state,), [BY_NAME["auxiliary_load"]]).result().log_posterior
@@ -431,6 +435,7 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     assert state.joint.posterior([0]).mean[-1] == pytest.approx(60e3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_times_that_two_effects_share_are_proposed_for_one_of_them():
     n, brake, fan = 1500, BY_NAME["brake_use"], BY_NAME["auxiliary_cycling"]
     spans = ((200.0, 225.0), (520.0, 538.0), (860.0, 885.0), (1210.0, 1231.0))
@@ -460,6 +465,7 @@ def test_times_of_an_effect_do_not_depend_on_what_was_asked_before():
     assert asked.best([], brake, [0])[0] == times
 
 
+@pytest.mark.slow
 def test_ends_of_a_span_are_found_to_a_tenth_of_a_second():
     n = 1200
     t = np.arange(n) + 0.5
@@ -499,6 +505,7 @@ def test_the_share_that_is_covered_is_the_sum_of_the_overlaps_with_each_span(edg
     assert not share[apart].any()  # to the bit: columns are zero where nothing acts
 
 
+@pytest.mark.slow
 def test_the_period_of_a_load_that_swings_is_among_those_tried():
     n = 1800
     t = np.arange(n) + 0.5
@@ -594,6 +601,7 @@ def test_what_acts_in_one_gear_is_told_by_engine_and_road_speed(strides):
     assert_allclose(in_gear, np.where(is_high, 0.0, frame.as_acceleration(strides.speed)), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_engine_that_rests_is_in_no_gear(strides):
     rests = np.arange(len(strides)) < 50
     context = strides.context | {Quantity.ENGINE_SPEED: np.where(rests, 0.0, 8.0 * strides.speed)}
@@ -659,6 +667,7 @@ def test_a_cause_of_one_drive_only_counts_among_several():
         assert whole.part("auxiliary_load").held_out_rms is not None
 
 
+@pytest.mark.slow
 def test_effects_are_compared_with_processes_by_the_most_probable_set_of_either_alone():
     """A process that takes the place of one effect in the best set says nothing of what the effects explain."""
     drag, fan = (BY_NAME[name] for name in ("viscous_drag", "auxiliary_load"))
@@ -684,6 +693,7 @@ def test_effects_are_compared_with_processes_by_the_most_probable_set_of_either_
     assert found.log_bf_processes > 0
 
 
+@pytest.mark.slow
 def test_the_road_load_is_averaged_over_hypotheses(strides, quiet):
     state = DriveState(strides=strides, fit=quiet)
     effects = [BY_NAME[name] for name in ("auxiliary_load", "viscous_drag", "warm_up")]
@@ -724,6 +734,7 @@ def test_the_road_load_is_averaged_over_hypotheses(strides, quiet):
     assert not same.covariance.any()
 
 
+@pytest.mark.slow
 def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
     model = quiet.scales.model_of(strides)
     conditioned = Conditioned.of(model, quiet.scales.values)

@@ -273,6 +273,7 @@ def test_a_force_that_comes_and_goes_is_unusual_noise_of_a_drive_that_can_start_
     assert quiet.fit.log_evidence < noisy.fit.log_evidence
 
 
+@pytest.mark.slow
 def test_a_load_that_comes_and_goes_is_found_though_noise_that_lasts_long_holds_it():
     n, rng = 1500, np.random.default_rng(4)
     speed = 15 + 4 * np.sin(np.arange(n + 1) / 15) + np.cumsum(rng.normal(0, 0.02, n + 1))

@@ -123,6 +123,7 @@ def test_steep_stretches_are_the_roads(steep):
     assert 1 / drive.fit.beta[0] == pytest.approx(M, rel=0.015)
 
 
+@pytest.mark.slow
 def test_in_the_budget_they_are_part_of_the_road(steep):
     found = budget(steep.drives, [[]], [[]], np.random.default_rng(1))
     assert {part.cause for part in found.parts} >= {ROAD}
@@ -133,6 +134,7 @@ def test_in_the_budget_they_are_part_of_the_road(steep):
     assert road.expected < 0.4 * found.base
 
 
+@pytest.mark.slow
 def test_a_level_road_has_none_of_them(steep):
     (drive,) = steep.drives
     without = replace(drive.fit, terms=())
@@ -150,6 +152,7 @@ def test_a_load_of_one_power_in_all_its_times_is_named():
     assert explained.drives[0].magnitudes[0] == pytest.approx(60e3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_one_span_of_more_force_may_be_the_roads():
     """A wet road and a steep one have the same column: over hidden hills no name is given."""
     n = 1500

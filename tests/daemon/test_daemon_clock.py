@@ -119,6 +119,7 @@ def test_messages_without_a_time_get_that_of_their_arrival() -> None:
     np.testing.assert_allclose(clock.correct(np.array([np.nan]), 6.0), EPOCH + 6.0)
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.tuples(

@@ -117,6 +117,7 @@ def test_who_loses_the_address_goes_on_under_another(sending: Bench) -> None:
     assert broadcast(sending)[-1].arbitration_id & 0xFF == sending.transmitter.address
 
 
+@pytest.mark.slow
 def test_an_id_that_another_node_sends_is_withheld_and_said(sending: Bench) -> None:
     before = groups(sending.bus.sent).count(0xFF60)
     sending.put(frame(0x18FF60FB))

@@ -110,6 +110,7 @@ def test_a_fault_is_active_once_it_has_lasted_and_is_remembered_and_counted() ->
     assert codes_of(memory.message(DM2)) == []
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.floats(0, 30), st.sets(CODES, max_size=30)), max_size=30))
 def test_whatever_comes_and_goes_is_bounded(changes: list[tuple[float, set[TroubleCode]]]) -> None:
     memory, t = TroubleMemory(), 0.0
@@ -210,6 +211,7 @@ def test_connections_are_limited_and_a_short_message_is_refused() -> None:
         sender.send(0x99, DM2, bytes(8))
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.floats(0, 2), st.sampled_from([TOOL, 0x21]), st.binary(max_size=8)), max_size=30))
 def test_no_answer_breaks_a_connection_or_floods_the_bus(answers: list[tuple[float, int, bytes]]) -> None:
     sender, t, sent = TransportSender(), 0.0, 0
@@ -405,6 +407,7 @@ def test_codes_that_dm3_cleared_do_not_come_back_with_the_next_start(sending: Be
     assert OWN not in dict(faults.load(tmp_path / "codes.json"))
 
 
+@pytest.mark.slow
 def test_a_flood_of_requests_for_many_codes_is_not_answered_with_a_flood(sending: Bench) -> None:
     assert sending.transmitter is not None
     assert sending.transmitter.diagnostics is not None

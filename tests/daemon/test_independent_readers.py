@@ -61,6 +61,7 @@ def dissected(path: Path) -> Iterator[dict[str, str]]:
         yield dict(zip(FIELDS, line.split("\t"), strict=True))
 
 
+@pytest.mark.slow
 def test_wireshark_reads_our_frames_as_the_groups_that_they_are(bench: Bench, tmp_path: Path) -> None:
     write_pcap(tmp_path / "sent.pcap", bench.bus.sent)
     read = list(dissected(tmp_path / "sent.pcap"))

@@ -263,6 +263,7 @@ def openssl(*arguments: str) -> None:
 
 
 # paho leaves the socket of a failed handshake to the garbage collector.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_broker_with_tls_is_believed_by_its_authority_alone(tmp_path: Path) -> None:
     authority, key, certificate = (str(tmp_path / name) for name in ("ca.pem", "key.pem", "cert.pem"))

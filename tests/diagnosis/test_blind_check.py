@@ -203,6 +203,7 @@ def test_scores_tell_right_from_wrong():
         assert wrong[name].failures == ("drive-0000",)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_told_apart_counts_and_the_rest_does_not():
     name = "named first, or its class: oracle > 10"
     lag = truth_of(names=("time_lag",))
@@ -213,6 +214,7 @@ def test_what_cannot_be_told_apart_counts_and_the_rest_does_not():
     assert measures((lag, run_of("cannot tell", "time_lag")))[name].estimate.value == 0.0
 
 
+@pytest.mark.slow
 def test_a_name_of_two_that_the_drive_does_not_part_is_not_one_name_alone():
     tyres, name = truth_of(names=("warm_up",)), "... by one name alone, oracle > 10"
     one, two = run_of("effect", "warm_up"), run_of("effect", "warm_up", equivalent=("oil_warm_up",))
@@ -220,6 +222,7 @@ def test_a_name_of_two_that_the_drive_does_not_part_is_not_one_name_alone():
     assert [measures(case)[name].estimate.value for case in ((tyres, one), (tyres, two), lag)] == [1.0, 0.0, 1.0]
 
 
+@pytest.mark.slow
 def test_promised_shares_and_places_are_held_against_the_oracle():
     bounded = truth_of(names=("drafting",), spans=((100.0, 300.0), (500.0, 600.0)))
     found = measures((bounded, run_of("effect", "drafting", fraction=0.9, span=((100.0, 300.0),))))

@@ -130,6 +130,7 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
 # A formula for what has no name
 
 
+@pytest.mark.slow
 def test_a_power_outside_the_catalogue_is_described() -> None:
     t = np.arange(2400.0) + 0.5
     v = driven().fit.strides.speed

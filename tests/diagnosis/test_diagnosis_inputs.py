@@ -78,20 +78,24 @@ def test_a_log_that_is_too_short(log):
     assert "less than a minute" in cannot_tell(log(drive("urban", 1, 1)))
 
 
+@pytest.mark.slow
 def test_a_log_that_is_nearly_long_enough(urban, log):
     assert "minutes of driving can be used; it takes 5" in cannot_tell(log(urban))
 
 
+@pytest.mark.slow
 def test_a_log_of_standing(urban, log):
     assert "standing" in cannot_tell(log(urban, STILL))
 
 
+@pytest.mark.slow
 def test_a_log_of_one_speed(urban, log):
     steady = STILL | {Role.SPEED: 20.0, Role.ENGINE_SPEED: 130.0}
     del steady[Role.TORQUE_FRACTION]  # else it would be frozen
     assert "vary too little" in cannot_tell(log(urban, steady))
 
 
+@pytest.mark.slow
 def test_a_log_in_which_nothing_changes(urban, log):
     reason = cannot_tell(log(urban, dict.fromkeys(urban.signals, 1.0) | STILL | {Role.SPEED: 20.0}))
     assert "speed and power frozen" in reason
@@ -102,6 +106,7 @@ def test_a_log_whose_engine_never_pulls(log):
     assert "power is not positive" in cannot_tell(log(drive("highway", 11, 3), {Role.TORQUE_FRACTION: 0.0}))
 
 
+@pytest.mark.slow
 def test_the_reason_is_read_on_the_terminal_and_on_the_page(urban, log, tmp_path, capsys):
     path, report = log(urban), tmp_path / "report.html"
     assert main(["diagnose", str(path), "--report", str(report)]) == 0
@@ -136,6 +141,7 @@ def test_an_effect_that_is_not_known(urban, log, tmp_path, capsys, name):
         assert f"'{name}' is not known; there are grade, headwind, " in error
 
 
+@pytest.mark.slow
 def test_an_effect_that_cannot_be_given(urban, log, capsys):
     error = fails(capsys, "diagnose", log(urban), "--effect", "mass_step")
     assert "'mass_step' cannot be part of the model" in error
@@ -217,12 +223,14 @@ def test_an_event_may_be_in_one_log_only(clean, tmp_path):
     assert beside["effects"][0]["span_log"] == [1] * len(beside["effects"][0]["span_s"])
 
 
+@pytest.mark.slow
 def test_a_log_that_is_given_twice_is_no_more_evidence(urban, log, capsys):
     path = log(urban)
     error = fails(capsys, "diagnose", path, path.parent / ".." / path.parent.name / path.name)
     assert "is given twice" in error
 
 
+@pytest.mark.slow
 def test_logs_with_engines_of_different_torque_may_be_of_two_vehicles(urban, log, tmp_path, capsys):
     torque = urban.signals[Role.REFERENCE_TORQUE]
     other = replace(urban, signals=urban.signals | {Role.REFERENCE_TORQUE: Series(torque.t, 0.7 * torque.value)})

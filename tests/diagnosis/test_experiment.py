@@ -112,6 +112,7 @@ def test_idling_tells_a_load_of_the_engine_where_it_is_not_known(state: DriveSta
     )
 
 
+@pytest.mark.slow
 def test_a_manoeuvre_counts_as_far_as_the_search_has_found_the_same_evidence(state: DriveState) -> None:
     other = form_of(state, "rotating_inertia", 3.0)
     gains = []

@@ -68,6 +68,7 @@ def test_model_power_is_never_negative():
     assert model(np.array([20.0, 20.0]), np.array([0.1, -1.0]), THETA).tolist() == pytest.approx([119_080.0, 0.0])
 
 
+@pytest.mark.slow
 def test_truth_comes_back():
     estimate = run(new(gate=ONCE), drive(18_000))[-1]
     assert estimate.status == Status.ESTIMATED
@@ -77,6 +78,7 @@ def test_truth_comes_back():
     assert estimate.t == pytest.approx(1799.9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 100, 121, 500, 2500, 6017])
 def test_every_row_is_accounted_for_once(n):
     estimator = new()
@@ -84,6 +86,7 @@ def test_every_row_is_accounted_for_once(n):
     assert accounted(estimator) == n
 
 
+@pytest.mark.slow
 def test_rows_are_accounted_for_over_gaps_and_evictions():
     estimator = new(window={"samples": 1000})
     first, second, third = drive(4000), drive(30, first=4100), drive(4000, first=5000)
@@ -114,6 +117,7 @@ def test_rows_come_to_the_same_however_they_are_cut():
         assert estimate.mass.mean == pytest.approx(final[-1].mass.mean, abs=0.2 * estimate.mass.sd)
 
 
+@pytest.mark.slow
 def test_a_gap_is_not_bridged():
     estimator = new()
     list(estimator.feed(drive(3000)))
@@ -234,6 +238,7 @@ def test_a_glitch_of_the_speed_does_no_harm(clean, value):
 # Why there is no estimate
 
 
+@pytest.mark.slow
 def test_constant_speed_is_refused():
     rng = np.random.default_rng(1)
     n = 9000

@@ -20,6 +20,7 @@ from estimator.streaming.pipeline import Pipeline
 SPARSE = from_dict({"gate": {"interval_s": 240.0}})
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 80)), max_size=20), st.randoms(use_true_random=False))
 def test_departures_are_found_however_the_rows_are_cut(runs, random):
     speed = np.concatenate([[10.0], *(np.full(n, 10.0 * moving) for moving, n in runs), [10.0]])

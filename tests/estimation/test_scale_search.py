@@ -119,6 +119,7 @@ def test_scales_too_far_apart_for_floating_point_are_given_back():
     assert_allclose(best, start)
 
 
+@pytest.mark.slow
 def test_what_slow_bends_add_to_an_accelerometer_is_no_wander_of_it():
     rng, n, (A, C, m) = np.random.default_rng(7), 1500, (250.0, 0.4, 1600.0)
     slope, wander = (gaussian_filter1d(rng.standard_normal(n), 30.0) for _ in range(2))
@@ -196,6 +197,7 @@ def test_a_turn_is_told_from_other_slow_places(turned, seed):
     assert found.theta[2] == pytest.approx(20e3, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_turn_that_gains_nothing_any_more_is_given_up():
     strides, plain = fitted(False, 1)
     place = plain.scales.model_of(strides).nodes.slow_places()[1]
@@ -228,6 +230,7 @@ def test_a_search_goes_on_from_the_orders_that_lost_before(monkeypatch):
     assert_array_equal(found.beta, anew.beta)
 
 
+@pytest.mark.slow
 def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
     """Those of one part of a drive may lie too far apart for floating point on another."""
     strides, make = back_and_forth(False, 1)[:400], Conditioned.of
@@ -252,6 +255,7 @@ def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
     assert given.theta[2] == pytest.approx(found.theta[2], rel=0.01) == again.theta[2]
 
 
+@pytest.mark.slow
 def test_turns_behind_the_window_are_forgotten():
     strides, whole = fitted(True, 1)
     later = fit(strides[1000:], known=whole.scales)

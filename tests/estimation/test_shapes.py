@@ -137,6 +137,7 @@ def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, si
     assert found.log_evidence > coarse.log_evidence + 1
 
 
+@pytest.mark.slow
 def test_coefficients_are_averaged_over_shapes_that_fit_alike():
     """The law of total variance, over fits with one shape each."""
     strides = driven(700, 30.0, EffectTerm(OIL, (500.0, 1.0)))
@@ -191,6 +192,7 @@ def test_a_drive_that_cannot_be_fitted_has_no_shapes():
     assert fitted_with_shapes(driven(5), (COLD[0],), fitted(driven(5))) is None
 
 
+@pytest.mark.slow
 def test_effects_scale_with_the_road_load_that_is_found_when_scales_are_given():
     strides = driven(size=0.5, term=COLD[1])
     found = fit(strides, (COLD[1],))

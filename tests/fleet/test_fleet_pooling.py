@@ -144,6 +144,7 @@ def load(rng: np.random.Generator, mass: float) -> Coefficients:
     return Coefficients(rng.multivariate_normal(beta, covariance), covariance)
 
 
+@pytest.mark.slow
 def test_a_vehicle_is_known_better_from_ten_drives_than_from_one_and_each_load_keeps_its_mass() -> None:
     rng = np.random.default_rng(4)
     masses = np.linspace(15_000, 40_000, 10)

@@ -56,6 +56,7 @@ def long_dataclasses(source: str) -> Iterator[tuple[str, bool]]:
                 yield node.name, "kw_only=True" in decorators[0]
 
 
+@pytest.mark.slow
 def test_long_dataclasses_are_keyword_only() -> None:
     found = {
         f"{path.relative_to(ROOT)}: {name}": keyword_only

@@ -52,6 +52,7 @@ def by_the_formula(nodes, joined, alpha, sd, length):
 stretches = st.lists(st.tuples(st.floats(5.0, 50.0), st.booleans()), min_size=1, max_size=14)
 
 
+@pytest.mark.slow
 @given(stretches, st.sampled_from([2, 3, 4]), st.floats(1e-3, 1.0), st.floats(50.0, 500.0))
 def test_precision_and_determinant_are_those_of_the_formula(steps, alpha, sd, length):
     nodes = np.concatenate([[0.0], np.cumsum([step for step, _ in steps])])
@@ -132,6 +133,7 @@ def test_a_node_alone_has_a_precision_of_its_own():
     assert log_determinant == pytest.approx(np.log(found[0, 0]))
 
 
+@pytest.mark.slow
 @given(stretches, st.sampled_from([2, 3, 4]), st.floats(1e-2, 1.0), st.floats(50.0, 300.0))
 def test_score_and_response_are_derivatives_of_the_dense_gaussian(steps, alpha, sd, length):
     nodes = np.concatenate([[0.0], np.cumsum([step for step, _ in steps])])

@@ -93,6 +93,7 @@ def test_the_change_of_the_mean_with_the_memory_is_a_difference_of_two(time):
     assert by_own == pytest.approx((own_more - own_less) / (2 * step), rel=1e-3, abs=1e-7)
 
 
+@pytest.mark.slow
 @given(chains, st.floats(0.1, 10.0), st.floats(0.5, 50.0))
 def test_score_and_response_are_derivatives_of_the_dense_gaussian(steps, sd, time):
     t = np.concatenate([[0.0], np.cumsum([dt for dt, _ in steps])])

@@ -100,6 +100,7 @@ def assert_same(one: Strides, other: Strides) -> None:
 # Batches and counts
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.lists(st.integers(0, 500), max_size=12))
 @settings(deadline=None, max_examples=40)
 def test_batches_of_any_size_give_the_same_strides_to_the_bit(seed, cuts):

@@ -82,6 +82,7 @@ def test_a_bus_or_a_daemon_is_watched(folder):
     assert (status, "no daemon is running: there is no file none.json" in printed) == (1, True)
 
 
+@pytest.mark.slow
 def test_a_daemon_is_refused_in_one_line(folder):
     remedy = "a daemon needs Linux or macOS; 'roadload watch -i INTERFACE -c CHANNEL' listens here"
     assert call(folder, "run", *ON_A_BUS) == (2, f"error: run: {remedy}\n")

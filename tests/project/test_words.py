@@ -32,6 +32,7 @@ def vague(paths: Iterable[Path]) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_docstring_begins_with_a_word_that_leans_on_another(package: str) -> None:
     assert vague((ROOT / package).rglob("*.py")) == []

@@ -152,6 +152,7 @@ def named(text: str) -> Diagnosis:
 BENIGN = Skeleton(page(named("benign"))).tags
 
 
+@pytest.mark.slow
 @given(
     st.text(min_size=1).filter(lambda text: text != number_format.NOTHING)
     | st.sampled_from(

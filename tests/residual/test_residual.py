@@ -57,6 +57,7 @@ def dense(t, scales):
     return slow + scales.white**2 * np.eye(len(t))
 
 
+@pytest.mark.slow
 def test_the_noise_is_that_of_the_dense_covariance():
     rng = np.random.default_rng(2)
     t = np.sort(rng.uniform(0, 40, 60))
@@ -178,6 +179,7 @@ def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
     )
 
 
+@pytest.mark.slow
 def test_a_cause_is_named_with_its_size_and_its_share():
     found = diagnosed(3, {"slide": 0.9})
     assert (found.verdict, found.named, found.between) == (Verdict.EFFECT, ("slide",), ())
@@ -195,6 +197,7 @@ def test_a_cause_is_named_with_its_size_and_its_share():
         found.part("no such cause")
 
 
+@pytest.mark.slow
 def test_shares_are_those_of_the_truth():
     residual, candidates, options = world(11, {"slide": 0.6, "step": -1.5})
     record = checked(residual, candidates, T, options["base"], options["along"])
@@ -208,6 +211,7 @@ def test_shares_are_those_of_the_truth():
         assert part.q05 - 0.05 < true < part.q95 + 0.05
 
 
+@pytest.mark.slow
 def test_causes_of_one_course_cannot_be_told_apart():
     residual, candidates, options = world(3, {"slide": 0.9})
     candidates["skid"] = Candidate(-2.0 * candidates["slide"].column, 0.15)
@@ -224,6 +228,7 @@ def test_what_the_base_can_fit_is_no_gap():
     assert found.rms < 1.5
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_unknown_and_gets_a_formula():
     residual, candidates, options = world(6, extra=0.6)
     others = {name: candidates[name] for name in ("step", "product")}
@@ -383,6 +388,7 @@ def test_a_base_or_an_axis_that_cannot_be_used_is_named(more, message):
         diagnose_residual(residual, candidates, T, **({"rng": np.random.default_rng(1)} | more))
 
 
+@pytest.mark.slow
 def test_what_the_base_holds_does_not_blur_the_rest():
     """A common offset of 1e9, in residual and columns, changes nothing; a candidate in the base keeps its prior."""
     residual, candidates, options = world(3, {"slide": 0.9})
@@ -397,6 +403,7 @@ def test_what_the_base_holds_does_not_blur_the_rest():
     assert offset.probability < 0.2
 
 
+@pytest.mark.slow
 def test_parameters_that_one_stretch_alone_shows_are_fitted():
     residual, candidates, options = world(3, {"slide": 0.9})
     first = np.column_stack([np.ones(N), np.arange(N) < N // 20, 1 + 1e-8 * np.sin(T)])
@@ -415,6 +422,7 @@ def test_an_axis_of_two_values_has_two_places():
     assert places[1.0, 1.0] == pytest.approx(1.5, abs=0.4)
 
 
+@pytest.mark.slow
 def test_two_candidates_without_noise_leave_nothing_unknown():
     """A process may stand for one of them until both are in the set."""
     _, candidates, options = world(3)
@@ -425,6 +433,7 @@ def test_two_candidates_without_noise_leave_nothing_unknown():
     assert found.part("drag").share > 0.1
 
 
+@pytest.mark.slow
 def test_twins_of_wide_priors_cannot_be_told_apart():
     _, candidates, options = world(3)
     column = candidates["slide"].column

@@ -39,6 +39,7 @@ kinds = st.sampled_from(["ordinary", "none clipped", "nearly all clipped", "coll
 exponents = st.floats(-6, 6)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(kinds, st.integers(10, 5000), st.integers(0, 2**32), st.floats(2, 5), st.tuples(*[exponents] * 3), st.booleans())
 def test_fast_chi2_is_exact_everywhere(kind, n, seed, noise, exponents, far_box):

@@ -139,6 +139,7 @@ def test_box_far_from_the_fitted_point(kernel, beyond):
     assert A.mean() == pytest.approx(CORRELATION[0, 2] * tail.mean(), abs=0.1)
 
 
+@pytest.mark.slow
 def test_corner_of_the_box():
     """All three parameters held back by their bounds: independent proposals fit badly, the answer is right anyway."""
     target = StudentTarget(

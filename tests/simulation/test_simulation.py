@@ -47,6 +47,7 @@ def kinetic_power(truth: Truth, starts: np.ndarray) -> np.ndarray:
     return 0.5 * TRUCK.mass * (v[starts + WINDOW] ** 2 - v[starts] ** 2) / (WINDOW * STEP)
 
 
+@pytest.mark.slow
 def test_mean_engine_power_is_road_load_plus_kinetic_power(flat):
     starts = driven(flat)
     power = over_windows(starts, flat.power)
@@ -64,6 +65,7 @@ def test_newton_holds_at_every_step(flat):
     np.testing.assert_allclose(tractive, resisting, atol=1e-6 * TRUCK.mass)
 
 
+@pytest.mark.slow
 def test_energy_balances_on_a_hilly_road():
     truth = drive_mixed(seed=2, duration=600.0, grade_sd=0.015)
     starts = driven(truth)

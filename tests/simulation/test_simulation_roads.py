@@ -92,6 +92,7 @@ def test_a_loop_closes_and_repeats():
     np.testing.assert_array_equal(route.grade[:points], route.grade[points : 2 * points])
 
 
+@pytest.mark.slow
 def test_a_cycle_becomes_a_road_with_its_speeds():
     rng = np.random.default_rng(2)
     route = cycle_route(HWFET, 16e3, rng)
@@ -152,6 +153,7 @@ def test_a_missing_cycle_is_named(tmp_path):
         cycle_route(tmp_path / "nowhere.csv", 1000.0, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_a_cycle_can_be_driven_there_and_back():
     rng = np.random.default_rng(2)
     route = shaped(cycle_route(HWFET, 40e3, rng), 1200.0, "out-and-back")

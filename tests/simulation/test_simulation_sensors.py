@@ -72,6 +72,7 @@ def test_an_altimeter_wanders_slowly_and_is_noisy(truth):
     assert np.corrcoef(white[1:], white[:-1])[0, 1] == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_gps_receiver_is_late_with_the_altitude():
     rng = np.random.default_rng(5)
     truth = drive(TRUCK, generate_route("highway", 20e3, rng, 0.03), 600.0, rng)
@@ -196,6 +197,7 @@ def test_positions_follow_the_way_with_errors_of_two_metres(truth):
     np.testing.assert_allclose(np.hypot(*steps), np.diff(truth.s), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_motion_sensors_tell_bends_and_hills():
     rng = np.random.default_rng(5)
     truth = drive(TRUCK, generate_route("mixed", 20e3, rng, grade_sd=0.01), 600.0, rng)
@@ -231,6 +233,7 @@ def test_messages_drop_out_together_for_seconds(truth):
     assert np.diff(torque.t).max() > 1.0
 
 
+@pytest.mark.slow
 def test_retarder_torque_is_sent_where_there_is_a_retarder():
     rng = np.random.default_rng(11)
     route = generate_route("mixed", 20e3, rng)

@@ -165,6 +165,7 @@ def jittered(period: float, end: float, rng, value) -> Series:
     return Series(t, value(t))
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1))
 def test_rows_do_not_depend_on_how_readings_were_cut(seed):
@@ -396,6 +397,7 @@ def test_friction_is_unknown_where_speed_or_reading_is():
     assert np.isnan(none).all()
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 def test_friction_of_many_batches_is_that_of_one_after_the_other(seed):
     rng = np.random.default_rng(seed)
@@ -428,6 +430,7 @@ def test_lone_gross_errors_are_repaired_and_nothing_else():
     assert np.array_equal(np.isnan(despike(unknown, whole)), np.isnan(unknown))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 def test_errors_of_power_are_judged_in_their_own_block(seed):
     rng = np.random.default_rng(seed)

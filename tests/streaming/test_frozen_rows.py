@@ -55,6 +55,7 @@ def varied(held, coarse=0.0):
     return replace(rows_of(speed), power=power)
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 600), max_size=6))
 def test_a_power_that_is_held_while_the_speed_changes_is_frozen_however_rows_are_cut(cuts):
     rows, follower, found = varied([(200, 280), (400, 420), (500, 580)]), FrozenRows(), []

@@ -28,6 +28,7 @@ def test_honest_readings_stay(seed: int, acceleration: float, noise: float) -> N
     assert not lone_errors(t, drive(rng, 300, acceleration, noise)).any()
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(-MAX_ACCELERATION, MAX_ACCELERATION), min_size=3, max_size=50),
     st.lists(st.floats(0.001, 1.0), min_size=50, max_size=50),

@@ -253,6 +253,7 @@ def test_transport_packets_recorded_as_a_whole(short):
     assert run([arriving], **EAGER)[1] == run([short], **EAGER)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e17, 1e300, -1e300])
 def test_frames_without_a_usable_time_are_counted_and_change_nothing(short, bad):
     part = between(short, 0, 120)

@@ -55,6 +55,7 @@ def rows_of(stream: RowStream, batches: list[Frames]) -> list[Rows | float]:
     return parts
 
 
+@pytest.mark.slow
 def test_a_pair_of_frames_every_ten_seconds_for_a_day_makes_few_rows(drive: Frames) -> None:
     stream = RowStream(from_dict({}))
     items = list(stream.feed_all([pairs(drive, 10.0, 8640)]))

@@ -57,6 +57,7 @@ def test_all_attacks_that_begin_in_the_middle_follow_each_other_those_of_a_signa
     assert order[-1].name == "the engine's controller changes its address"
 
 
+@pytest.mark.slow
 def test_each_attack_changes_its_own_part_of_the_drive() -> None:
     rng = np.random.default_rng(1)
     drive = frames_of(record(TRUCK, generate_route("mixed", 30_000, rng), LEAD + 2 * SLOT + 60, rng).signals)
@@ -72,6 +73,7 @@ def test_each_attack_changes_its_own_part_of_the_drive() -> None:
     np.testing.assert_array_equal(frames.data[outside], drive.data[same])
 
 
+@pytest.mark.slow
 def test_an_attack_of_one_moment_ends_when_it_begins() -> None:
     rng = np.random.default_rng(1)
     drive = frames_of(record(TRUCK, generate_route("mixed", 30_000, rng), LEAD + SLOT, rng).signals)

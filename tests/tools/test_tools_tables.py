@@ -390,6 +390,7 @@ def test_a_surrogate_has_the_spectrum_of_the_residual(tools, original):
         assert power[band].mean() == pytest.approx(original.spectrum[same].mean(), rel=0.15)
 
 
+@pytest.mark.slow
 def test_errors_of_an_accelerometer_are_not_in_the_noise_beside_the_road(tools):
     rng, n, (A, C, m) = np.random.default_rng(7), 1500, (250.0, 0.4, 1600.0)
     slope, error = (gaussian_filter1d(rng.standard_normal(n), memory) for memory in (30.0, 10.0))
