@@ -45,7 +45,8 @@ def search(
             slopes = _slopes(level.drives, sloping)
     if not sloping or slopes < thresholds.min_log_bf_slopes_tried:
         return replace(level or search_on_level.result(), slopes=slopes)
-    return _on_either_road(plain, level, sloping, candidates, earlier_terms, thresholds)
+    search_on_slopes = Search(sloping, candidates, earlier_terms)
+    return _on_either_road(search_on_level, level, search_on_slopes, thresholds)
 
 
 def _are_explained(
@@ -57,26 +58,20 @@ def _are_explained(
 
 
 def _on_either_road(
-    plain: tuple[DriveState, ...],
-    level: SearchResult | None,
-    sloping: tuple[DriveState, ...],
-    candidates: Sequence[Effect],
-    earlier_terms: EarlierTerms,
-    thresholds: Thresholds,
+    search_on_level: Search, level: SearchResult | None, search_on_slopes: Search, thresholds: Thresholds
 ) -> SearchResult:
     """The result with more evidence, on a level road or on a sloping one, of drives that seem to have slopes.
 
     ``level``: the result on a level road, if it is known. Over hills the search on a level road takes many rounds to
     explain the slopes by effects, so it is second.
     """
-    search_on_slopes = Search(sloping, candidates, earlier_terms)
     slopes = _slopes(search_on_slopes.effects_only)
     if slopes < thresholds.min_log_bf_slopes:
-        return replace(level or Search(plain, candidates, earlier_terms).result(), slopes=slopes)
+        return replace(level or search_on_level.result(), slopes=slopes)
     result = search_on_slopes.result()
     is_shown = _is_shown(result, thresholds)
     min_log_posterior = result.log_posterior - (0.0 if is_shown else thresholds.min_log_bf_slopes)
-    level = level or Search(plain, candidates, earlier_terms).result_above(min_log_posterior)
+    level = level or search_on_level.result_above(min_log_posterior)
     if level is not None and level.log_posterior > min_log_posterior:
         return replace(level, slopes=slopes)
     slopes = min([_slopes(result.drives), *([result.log_posterior - level.log_posterior] if level else [])])
