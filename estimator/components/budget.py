@@ -30,7 +30,7 @@ from estimator.units import STANDARD_GRAVITY
 UNKNOWN = "unknown: "  # before the name of a nameless process
 ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", f"{UNKNOWN}white force", "other effects"
 DRAWS = 200
-TOGETHER = 20  # draws whose sensor errors and slopes are computed at once: bounds the memory
+TOGETHER = 20  # draws of all unknowns that are made at once: bounds the memory
 MAX_TRIES = 50  # draws of the amplitudes per draw kept: those with the largest sign violations are rejected
 MIN_SYSTEMATIC = 1e-6  # lower bound of a share that divides another one
 FORM_DOUBT = 0.5  # sd of a share s by errors of the model's form, over s (1 - s): measured on simulated drives
@@ -254,18 +254,20 @@ def _road_and_noise(
     drive: DriveState, joint: JointLikelihood, amplitudes: Floats, rng: np.random.Generator
 ) -> Iterator[tuple[str, Floats]]:
     """Draws of the acceleration (n, d) [m/s^2] by the road, white forces and sensor noise, with their causes."""
-    residuals = joint.residual(amplitudes)
-    unknowns = joint.conditioned.draws(residuals, rng)
-    some = [unknowns[:, at : at + TOGETHER] for at in range(0, DRAWS, TOGETHER)]
-    errors = np.hstack([joint.model.sensor_errors(part) for part in some])
-    white = residuals[: len(errors)] - errors
+    n = len(joint.frame.strides)
+    errors, white, slopes = np.empty((n, DRAWS)), np.empty((n, DRAWS)), np.zeros((n, 0 if drive.is_level else DRAWS))
+    for at in range(0, DRAWS, TOGETHER):
+        some = slice(at, at + TOGETHER)
+        residuals = joint.residual(amplitudes[:, some])
+        unknowns = joint.conditioned.draws(residuals, rng)
+        errors[:, some] = joint.model.sensor_errors(unknowns)
+        white[:, some] = residuals[:n] - errors[:, some]
+        if not drive.is_level:
+            slopes[:, some] = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
+            white[:, some] -= slopes[:, some]
     if not drive.is_level:
-        slopes = np.hstack([joint.model.slope_under(joint.frame.strides, part) for part in some])
-        slopes *= -STANDARD_GRAVITY
-        white -= slopes
         slopes += joint.acceleration(joint.stretches, amplitudes[joint.stretches])
         yield ROAD, slopes
-    del residuals, unknowns, some
     scales = drive.fit.scales.values
     remaining, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + remaining))[:, None]

@@ -18,8 +18,6 @@ from estimator.model.linear_gaussian import Factor, both_triangles
 from estimator.model.road import RoadModel
 from estimator.signals import Floats
 
-TOGETHER = 16  # draws that are made at once: bounds the memory beside the draws themselves
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Shares:
@@ -122,9 +120,6 @@ class Conditioned:
 
     def draws(self, residuals: Floats, rng: np.random.Generator) -> Floats:
         """Draw all unknowns (size, d) from their posterior, once for each column of residuals (sum of counts, d)."""
-        drawn = rng.standard_normal((self.model.size, residuals.shape[1]))
-        for first in range(0, residuals.shape[1], TOGETHER):
-            some = slice(first, first + TOGETHER)
-            mean = self.factor.solve(self.model.gathered(residuals[:, some] / self.variance[:, None]))
-            drawn[:, some] = mean + self.factor.unwhiten(drawn[:, some])
+        mean = self.factor.solve(self.model.gathered(residuals / self.variance[:, None]))
+        drawn: Floats = mean + self.factor.unwhiten(rng.standard_normal(mean.shape))
         return drawn
