@@ -6,7 +6,7 @@
 A second process sends simulated driving, padded with unknown messages to the load of a full bus, at the pace of the
 bus, over a stand-in for SocketCAN (`full_bus/loopback.py`). "Filtered": only frames that pass the daemon's kernel
 filters are sent. The daemon starts with the state of an hour's driving, so its window is full and the sampler has its
-full work; its gate is checked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
+full work. Its gate is checked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
 start not counted; "peak" is the memory of the whole process, as installed without extras. Delays are those until a
 frame is handed to the pipeline, which decodes in blocks of five seconds of traffic.
 
@@ -32,8 +32,7 @@ from typing import Any
 import numpy as np
 from full_bus import traffic
 from full_bus.loopback import HOST
-from rich.console import Console
-from rich.table import Table
+from harness.check import Cells, Check, Figures, Table
 
 from estimator import config as configuration
 from estimator.can_io.binding import bind, load_database
@@ -46,8 +45,8 @@ from estimator.streaming.pipeline import Pipeline
 TOOLS = Path(__file__).parent
 KUKSA = TOOLS.parent / "tests" / "support" / "kuksa_stand_in.py"
 SETTINGS = "[gate]\ninterval_s = 10.0\n[service]\nstate_directory = '{folder}'\nruntime_directory = '{folder}'\n"
-PROGRAMS = {"by hand": "full_bus.by_hand", "roadload": "full_bus.ours"}
-WIDE = 140  # columns where standard output is no terminal
+BY_HAND, ROADLOAD = "by hand", "roadload"
+PROGRAMS = {BY_HAND: "full_bus.by_hand", ROADLOAD: "full_bus.ours"}
 START = 60.0  # s in which a program has to open its socket
 TICKS = os.sysconf("SC_CLK_TCK")  # per second, of CPU times in /proc
 
@@ -94,7 +93,7 @@ def write_state(folder: Path, minutes: float, outputs: str) -> None:
         worker.close()
 
 
-def measure(
+def run_one(
     name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float, outputs: str = ""
 ) -> dict[str, Any]:
     """Run one program under one load; CPU share, memory, delays and losses."""
@@ -105,7 +104,7 @@ def measure(
             load = traffic.passed(load, input_filters(bind(Config(), load_database([]))))
         np.savez(folder / "load.npz", t=load.t, ident=load.ident, length=load.length, data=load.data)
         options = []
-        if name == "roadload":
+        if name == ROADLOAD:
             write_state(folder, warm_minutes, outputs)
             options = ["--config", str(folder / "roadload.toml")]
         port = free_port()
@@ -138,31 +137,26 @@ def wait_until_bound(port: int, subject: subprocess.Popen[bytes], folder: Path) 
     time.sleep(1.0)
 
 
-def show(console: Console, options: argparse.Namespace) -> None:
-    """The table of loads."""
-    table = Table("bus", "", "program", "frames/s", "CPU", "ratio", "peak MiB", "p50 ms", "p99 ms", "max ms", "lost")
+def loads(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Cells of each load and program."""
     runs = [(kbits, filtered, options.seconds) for kbits in traffic.BUS_LOAD for filtered in (True, False)]
-    runs = [run for run in [*runs, (500, False, options.loss_seconds)] if run[2]]
-    for kbits, filtered, seconds in runs:
-        rows = {}
-        for name in PROGRAMS:
-            rows[name] = measure(name, traffic.BUS_LOAD[kbits], filtered, seconds, options.warm_minutes)
-        for name, row in rows.items():
-            delays = [f"{row['processed'][key]:.1f}" for key in ("p50_ms", "p99_ms", "max_ms")]
-            ratio = row["cpu"] / rows["by hand"]["cpu"]
-            what = f"{'filtered' if filtered else 'all'}, {seconds:g} s"
-            cells = [f"{kbits} kbit/s", what, name, f"{row['rate']:.0f}", f"{row['cpu']:.1%}", f"{ratio:.2f}"]
-            table.add_row(*cells, f"{row['peak_MiB']:.0f}", *delays, f"{row['sent'] - row['frames']}")
-        ours = rows["roadload"]
-        drained = ", ".join(f"{key[:3]} {value:.1f}" for key, value in ours["drained"].items())
-        console.print(f"{kbits} kbit/s {what}: taken from the socket after {drained} ms;", end=" ")
-        console.print(f"dropped by the kernel {ours['kernel_drops']}, by queues {ours['queue_drops']};", end=" ")
-        console.print(f"longest conclusion {ours['conclusion_s']:.2f} s")
-    console.print(table)
+    rows = []
+    for kbits, filtered, seconds in [*runs, (500, False, options.loss_seconds)]:
+        if not seconds:
+            continue
+        found = {
+            name: run_one(name, traffic.BUS_LOAD[kbits], filtered, seconds, options.warm_minutes) for name in PROGRAMS
+        }
+        for name, row in found.items():
+            load = {"": f"{name}, {kbits} kbit/s, {'filtered' if filtered else 'all'}", "s": seconds}
+            rows.append(load | {"frames/s": row["rate"]} | cells(row, found[BY_HAND]["cpu"]))
+    return rows
 
 
-def show_outputs(console: Console, seconds: float, warm_minutes: float) -> None:
-    """The table of the daemon with other programs beside the bus."""
+def outputs(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Cells of the daemon with other programs beside the bus."""
+    if not options.output_seconds:
+        return []
     mqtt, kuksa = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_STREAM)
     tables = {
         "mqtt": f"[mqtt]\nhost = '{HOST}'\nport = {mqtt}\nperiod_s = 5.0\n",
@@ -174,37 +168,52 @@ def show_outputs(console: Console, seconds: float, warm_minutes: float) -> None:
         for command in programs:
             process = others.enter_context(subprocess.Popen(command, stderr=subprocess.DEVNULL))
             others.callback(process.terminate)
+        rate = traffic.BUS_LOAD[500]
         rows = {
-            name: measure("roadload", traffic.BUS_LOAD[500], False, seconds, warm_minutes, outputs)
-            for name, outputs in runs.items()
+            name: run_one(ROADLOAD, rate, False, options.output_seconds, options.warm_minutes, each)
+            for name, each in runs.items()
         }
-    table = Table("500 kbit/s, all", "CPU", "ratio", "peak MiB", "p99 ms", "max ms", "lost", "reports sent")
-    for name, row in rows.items():
-        ratio, delays = (
-            row["cpu"] / rows["none"]["cpu"],
-            [f"{row['processed'][key]:.1f}" for key in ("p99_ms", "max_ms")],
-        )
-        sent = ", ".join(f"{count}" for count in row["reports"].values()) or "-"
-        cells = [f"{row['cpu']:.1%}", f"{ratio:.2f}", f"{row['peak_MiB']:.0f}", *delays]
-        table.add_row(name, *cells, f"{row['sent'] - row['frames']}", sent)
-    console.print(table)
+    return [
+        {"outputs": name} | cells(row, rows["none"]["cpu"]) | {"reports sent": sum(row["reports"].values())}
+        for name, row in rows.items()
+    ]
 
 
-def main() -> int:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def cells(row: dict[str, Any], base: float) -> dict[str, Any]:
+    """Figures of a run; ``base`` is the CPU share that its own is compared with."""
+    delays = {f"{name} ms": row["processed"][f"{name}_ms"] for name in ("p50", "p99", "max")}
+    costs = {"CPU [%]": 100 * row["cpu"], "ratio": row["cpu"] / base, "peak MiB": row["peak_MiB"]}
+    return costs | delays | {"sent": row["sent"], "lost": row["sent"] - row["frames"]}
+
+
+def measure(options: argparse.Namespace) -> Figures:
+    """Every load, and every output."""
+    return {"loads": loads(options), "outputs": outputs(options)}
+
+
+def tables(figures: Figures) -> list[Table]:
+    """A row for each run."""
+    titles = {"loads": "Loads of the bus", "outputs": "The daemon on a full bus of 500 kbit/s, by its outputs"}
+    return [Table.of(title, figures[name]) for name, title in titles.items() if figures[name]]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the lengths."""
     parser.add_argument("--seconds", type=float, default=60.0, help="of each load; 0: none (default 60)")
     parser.add_argument("--loss-seconds", type=float, default=600.0, help="of full load; 0: none (default 600)")
     parser.add_argument("--output-seconds", type=float, default=60.0, help="of each output; 0: none (default 60)")
     parser.add_argument("--warm-minutes", type=float, default=60.0, help="of driving known at the start (default 60)")
-    options = parser.parse_args()
-    console = Console() if sys.stdout.isatty() else Console(width=WIDE)
-    if options.seconds or options.loss_seconds:
-        show(console, options)
-    if options.output_seconds:
-        show_outputs(console, options.output_seconds, options.warm_minutes)
-    return 0
 
+
+CHECK = Check(
+    title="The daemon on a full bus",
+    measure=measure,
+    tables=tables,
+    headline=Cells(
+        rows=(f"{ROADLOAD}, 500 kbit/s, all",), columns=("s", "CPU [%]", "peak MiB", "p99 ms", "max ms", "sent", "lost")
+    ),
+    options=add_options,
+)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())

@@ -4,7 +4,7 @@
 
 "read" yields every frame with its time, id and bytes; "decode" also the signals that the estimate needs. Where a reader
 decodes whole messages, it decodes the messages that hold such a signal. Peers that are not installed are left out.
-The best of the repeats counts; docs/readers.md has a table.
+The best of the repeats counts.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from pathlib import Path
 import can
 import numpy as np
 from cantools.database import Message
-from harness.check import ROOT, Check, Figures, Table
+from harness.check import ROOT, Cells, Check, Figures, Table
 
 from estimator.can_io.binding import BoundMessage, bind, load_database
 from estimator.can_io.decoder import Decoder
@@ -71,14 +71,6 @@ def python_can_cantools(path: Path) -> int:
     return count
 
 
-def vblf_read(path: Path) -> int:
-    """An object a frame."""
-    from vblf.reader import BlfReader
-
-    with path.open("rb") as file, BlfReader(file) as reader:
-        return sum(1 for item in reader if hasattr(item, "data") and hasattr(item, "channel"))
-
-
 def asammdf_read(path: Path) -> int:
     """Times, ids and bytes as arrays."""
     from asammdf import MDF
@@ -87,15 +79,6 @@ def asammdf_read(path: Path) -> int:
         ids = log.get("CAN_DataFrame.ID")
         log.get("CAN_DataFrame.DataBytes")
         return len(ids)
-
-
-def mdfreader_read(path: Path) -> int:
-    """Times, ids and bytes as arrays."""
-    from mdfreader import Mdf
-
-    log = Mdf(str(path))
-    log.get_channel_data("CAN_DataFrame.DataBytes")
-    return len(log.get_channel_data("CAN_DataFrame.ID"))
 
 
 def asammdf_decode(path: Path) -> int:
@@ -113,10 +96,8 @@ READERS: dict[str, tuple[Reader, tuple[str, ...], str]] = {  # function, formats
     "roadload: decode": (roadload_decode, FORMATS, "estimator"),
     "python-can: read": (python_can_read, FORMATS, "can"),
     "python-can + cantools: decode": (python_can_cantools, FORMATS, "cantools"),
-    "vblf: read": (vblf_read, (".blf",), "vblf"),
     "asammdf: read": (asammdf_read, MF4, "asammdf"),
     "asammdf: decode": (asammdf_decode, MF4, "asammdf"),
-    "mdfreader: read": (mdfreader_read, (".mf4",), "mdfreader"),
 }
 
 
@@ -194,13 +175,13 @@ def figures_of(options: argparse.Namespace) -> Figures:
 
 
 def tables(figures: Figures) -> list[Table]:
-    """Million frames a second, and how many times that of python-can."""
+    """How many times the rate of python-can, and million frames a second."""
     base = figures["rates"]["python-can: read"]
     rows = [
-        [name, *(f"{found[s] / 1e6:.2f} ({found[s] / base[s]:.1f})" if s in found else "" for s in base)]
+        [name, *(f"{found[s] / base[s]:.1f} times ({found[s] / 1e6:.2f} M/s)" if s in found else "" for s in base)]
         for name, found in figures["rates"].items()
     ]
-    title = f"{figures['frames']:,} frames; million frames a second of processor time (times python-can)"
+    title = f"{figures['frames']:,} frames; frames a second of processor time beside python-can"
     return [Table(title, ("reader", *base), rows)]
 
 
@@ -211,7 +192,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", nargs="+", choices=FORMATS, default=list(FORMATS))
 
 
-CHECK = Check(name="bench_readers", about=__doc__, measure=figures_of, tables=tables, options=add_options)
+CHECK = Check(
+    title="Readers of logs", measure=figures_of, tables=tables, headline=Cells(rows=("roadload",)), options=add_options
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -7,7 +7,6 @@ logs in OUT, and its tables are compared with the truth.
 """
 
 import argparse
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
-from harness.check import Check, Figures, Table, drive_options
+from harness.check import Cells, Check, Figures, Table, drive_options
+from harness.drives import roadload
 from harness.scores import Score, summary
 
-from estimator.answers.answer import decode
 from estimator.answers.fleet import FleetAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
@@ -84,8 +83,7 @@ def measure(options: argparse.Namespace) -> Figures:
     """Make the fleet, estimate it, and compare the estimates with the truth."""
     logs, out = options.folder / "logs", options.folder / f"fleet-{options.workers}"
     made = make(logs, options.vehicles, options.drives, options.minutes, options.seed)
-    command = [sys.executable, "-m", "estimator", "fleet", str(logs), "--json", "--workers", str(options.workers)]
-    done = subprocess.run([*command, "-o", str(out)], capture_output=True, text=True, check=True)
+    answer = roadload(FleetAnswer, "fleet", logs, "--workers", str(options.workers), "-o", out)
     drives = [row for row in pq.read_table(out / "drives.parquet").to_pylist() if row["source"] in made.masses]
     vehicles = pq.read_table(out / "vehicles.parquet").to_pylist()
     masses = [made.masses[row["source"]] for row in drives]
@@ -98,7 +96,7 @@ def measure(options: argparse.Namespace) -> Figures:
             "C": compared(vehicles, "C_N_s2_m2", [drag for _, drag in truth]),
         },
         "outliers_made": sorted(name for name in OUTLIERS if name in made.vehicles),
-        "outliers_found": sorted(decode(done.stdout, FleetAnswer).outliers),
+        "outliers_found": sorted(answer.outliers),
     }
 
 
@@ -127,7 +125,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1)
 
 
-CHECK = Check(name="fleet", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="A fleet of logs",
+    first="out/fleet",
+    measure=measure,
+    tables=tables,
+    headline=Cells(columns=("interval holds",)),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -9,12 +9,11 @@ shows it; the car of a drive is the same at all periods.
 import argparse
 import sys
 from itertools import product
-from typing import Any
 
 import numpy as np
-from harness.check import Check, Figures, Table, drive_options, percent, progress
-from harness.drives import METRES_PER_MINUTE
-from harness.scores import rms
+from harness.check import Cells, Check, Figures, Table, drive_options, percent, progress
+from harness.drives import drive, estimates
+from harness.scores import Score, summary
 from msgspec.structs import replace
 
 from estimator import config
@@ -22,21 +21,19 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.obd2_encoder import frames_of
 from estimator.config import Config
 from estimator.simulation.polling import polled
-from estimator.simulation.recording import Recording, record
-from estimator.simulation.route import generate_route
+from estimator.simulation.recording import Recording
 from estimator.simulation.truck import Truck, draw_car
-from estimator.streaming.pipeline import Pipeline
 
 PERIODS = {0.25: False, 0.5: False, 1.0: True, 2.0: True}  # s a PID, and whether there are fewer drives of it
 ROADS = {"level": 0.0, "hilly": 0.012}  # sd of the slopes, rise over run
 RARELY = 600.0  # s between estimates: the last one counts
+NAMES = ("mass", "A")
 
 
 def driven(number: int, slopes: float, minutes: float, seed: int) -> Recording:
     """A drive of a car drawn at random."""
     rng = np.random.default_rng([seed, number])
-    car = draw_car(rng)
-    return record(car, generate_route("mixed", minutes * METRES_PER_MINUTE, rng, slopes), 60.0 * minutes, rng)
+    return drive(draw_car(rng), "mixed", minutes, rng, slopes)
 
 
 def settings() -> Config:
@@ -45,39 +42,16 @@ def settings() -> Config:
     return config.replace(shipped, gate=replace(shipped.gate, interval_s=RARELY))
 
 
-def estimated(truck: Truck, frames: Frames, chosen: Config) -> dict[str, Any]:
-    """Relative error and sd of mass and A as last estimated, and whether the 90 % interval holds the truth."""
-    pipeline = Pipeline(chosen)
-    last = [*pipeline.feed(frames), *pipeline.finish()][-1]
-    found = {}
-    for name in ("mass", "A"):
-        marginal, truth = getattr(last, name), getattr(truck, name)
-        if marginal is not None:
-            holds = marginal.q05 <= truth <= marginal.q95
-            found[name] = {"error": marginal.mean / truth - 1, "sd": marginal.sd / truth, "holds": holds}
-    return found
-
-
-def summary(road: str, period: float, results: list[dict[str, Any]]) -> Figures:
-    """Figures of the mass, errors as shares of the truth, and how many 90 % intervals hold mass and A."""
-    masses = [result["mass"] for result in results if "mass" in result]
-    error = [mass["error"] for mass in masses]
-    return {
-        "road": road,
-        "period_s": period,
-        "drives": len(results),
-        "estimated": len(masses),
-        "bias": float(np.mean(error)) if error else None,
-        "rms": rms(error) if error else None,
-        "sd": float(np.mean([mass["sd"] for mass in masses])) if masses else None,
-        "holds": int(sum(mass["holds"] for mass in masses)),
-        "A_holds": [sum(result["A"]["holds"] for result in results if "A" in result), sum("A" in r for r in results)],
-    }
+def estimated(truck: Truck, frames: Frames, chosen: Config) -> dict[str, Score]:
+    """Scores of mass and A as last estimated."""
+    last = estimates(frames, chosen)[-1]
+    marginals = {name: getattr(last, name) for name in NAMES}
+    return {name: Score.of(x, getattr(truck, name)) for name, x in marginals.items() if x is not None}
 
 
 def measure(options: argparse.Namespace) -> Figures:
     """Figures of each road and period."""
-    found: dict[tuple[str, float], list[dict[str, Any]]] = {cell: [] for cell in product(ROADS, PERIODS)}
+    found: dict[tuple[str, float], list[dict[str, Score]]] = {cell: [] for cell in product(ROADS, PERIODS)}
     drives = list(product(ROADS, range(max(options.drives, options.slow))))
     for road, number in progress(drives, "driving"):
         recording = driven(number, ROADS[road], options.minutes, options.seed)
@@ -86,20 +60,24 @@ def measure(options: argparse.Namespace) -> Figures:
                 rng = np.random.default_rng([options.seed, number, round(1000 * period)])
                 frames = frames_of(polled(recording.signals, period, rng))
                 found[road, period].append(estimated(recording.truth.truck, frames, settings()))
-    return {"cells": [summary(road, period, results) for (road, period), results in found.items()]}
+    return {
+        "cells": [
+            {"road": road, "period_s": period, "drives": len(scores)}
+            | {name: summary([score[name] for score in scores if name in score]) for name in NAMES}
+            for (road, period), scores in found.items()
+        ]
+    }
 
 
 def tables(figures: Figures) -> list[Table]:
     """A row for each road and period."""
-    columns = ("road", "s a PID", "estimated", "mass: bias", "rms error", "sd", "90 % intervals hold", "A: hold")
+    columns = ("road, s a PID", "estimated", "bias of the mass", "rms error", "sd", "90 % intervals hold", "A: hold")
     rows = [
         [
-            cell["road"],
-            f"{cell['period_s']:g}",
-            f"{cell['estimated']} of {cell['drives']}",
-            *(percent(cell[key], sign="+") for key in ("bias", "rms", "sd")),
-            f"{cell['holds']} of {cell['estimated']}",
-            "{} of {}".format(*cell["A_holds"]),
+            f"{cell['road']}, {cell['period_s']:g}",
+            f"{cell['mass']['estimated']} of {cell['drives']}",
+            *(percent(cell["mass"].get(key), sign="+") for key in ("bias", "rms", "sd")),
+            *(f"{cell[name]['holds']} of {cell[name]['estimated']}" for name in NAMES),
         ]
         for cell in figures["cells"]
     ]
@@ -112,7 +90,13 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--slow", type=int, default=10, help="drives of a road at long periods; default: %(default)s")
 
 
-CHECK = Check(name="obd", about=__doc__, measure=measure, tables=tables, options=options)
+CHECK = Check(
+    title="Cars by OBD-II",
+    measure=measure,
+    tables=tables,
+    headline=Cells(rows=("level, 0.5", "hilly, 0.5"), columns=("estimated", "bias of the mass", "90 % intervals hold")),
+    options=options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -12,7 +12,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from harness.check import Check, Figures, Table
+from harness.check import Cells, Check, Figures, Table
 from paper import experiments, pictures, studies, summary
 from paper.cycles import Cycle, all_parts, cycles_of
 from paper.estimation import BURN_IN, Availability, Drive, scheduled_walk
@@ -58,7 +58,7 @@ def measure(options: argparse.Namespace) -> Figures:
     printed = experiments.levene_tests({name: p.estimates for name, p in PRINTED.items()})
     return {
         "Cycles": summary.cycles(cycles, reach),
-        "Dummy case without noise": summary.dummy([experiments.dummy_case(c) for c in cycles.values()]),
+        "Dummy case without noise": summary.dummy({name: experiments.dummy_case(c) for name, c in cycles.items()}),
         "Table 1": summary.table_one(runs),
         "Tables 2 to 4": [
             summary.run_row(name, i, found) for name, repeated in runs.items() for i, found in enumerate(repeated)
@@ -70,12 +70,11 @@ def measure(options: argparse.Namespace) -> Figures:
         "Table 5, units": summary.units(matches),
         "Table 5, one choice at a time": summary.choices(matches),
         "Table 5, order of its columns": summary.column_order(matches[0], names),
-        "Table 5, scaled by the posterior": summary.scaled(experiments.scaled_eigen_metrics(cycles, runs)),
         "Hierarchical fit": summary.vehicle(posteriors, names),
         "Hierarchical fit, runs": summary.between_runs(chosen, cycles),
         "Hierarchical fit, spreads": summary.hyperparameters(chosen),
-        "Figure 1": summary.schedules(experiments.schedule_effects(hwfet)),
-        "Figure 2": summary.trace(experiments.TraceFit.of(run.positive(), runs["HWFET"][0].mean)),
+        "Figure 1": experiments.schedule_effects(hwfet),
+        "Figure 2": [experiments.residuals(run.positive(), runs["HWFET"][0].mean)],
         "Figure 4": summary.coverage(coverage),
         "Figure 5": summary.noise(noise),
         "Figure 6": summary.duration(duration),
@@ -93,7 +92,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw the figures too")
 
 
-CHECK = Check(name="paper", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="The paper's tables and figures",
+    measure=measure,
+    tables=tables,
+    headline=Cells(columns=("90 % intervals that hold", "of"), table="Simulated runs"),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

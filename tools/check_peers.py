@@ -18,15 +18,14 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from harness.check import Check, Figures, Table, drive_options, percent, progress
-from harness.drives import KINDS, METRES_PER_MINUTE, RARELY, hills, numbered, read, traffic
+from harness.check import Cells, Check, Figures, Table, drive_options, percent, progress
+from harness.drives import KINDS, RARELY, drive, hills, numbered, read, traffic
 from harness.scores import Score, rms, summary
 from peers.hills import Band, Known, SlopeNoise, TwoFactors, band_passed, kalman_with_slope, two_forgetting_factors
 from peers.level import Forgetting, Normal, ProcessNoise, Stretch, extended_kalman, recursive_least_squares, stretches
 
 from estimator.config import Config, from_dict
-from estimator.simulation.recording import Recording, record
-from estimator.simulation.route import generate_route
+from estimator.simulation.recording import Recording
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
 
@@ -59,11 +58,11 @@ class Drive:
     @classmethod
     def of(cls, recording: Recording, kind: str, names: Sequence[str], config: Config) -> "Drive":
         """Send as CAN frames, decode, align and estimate; the parameters that are compared are ``names``."""
-        found, truck = read(traffic(recording), config), recording.truth.truck
+        (rows, final, lag), truck = read(traffic(recording), config), recording.truth.truck
         truth = {name: float(getattr(truck, name)) for name in ("A", "C", "mass")}
-        marginals = {name: getattr(found.final, name) for name in names}
+        marginals = {name: getattr(final, name) for name in names}
         own = {name: Score.of(x, truth[name]) for name, x in marginals.items() if x is not None}
-        return cls(kind, truth, stretches(found.rows, config.admission, found.lag), own)
+        return cls(kind, truth, stretches(rows, config.admission, lag), own)
 
     @property
     def known(self) -> Known:
@@ -74,9 +73,7 @@ class Drive:
 def level_drive(seed: int, options: argparse.Namespace) -> Drive:
     """The drive of one truck on level roads."""
     rng = np.random.default_rng(seed)
-    truck = draw_truck(rng)
-    route = generate_route("mixed", options.minutes * METRES_PER_MINUTE, rng)
-    recording = record(truck, route, options.minutes * 60, rng, sensors=Sensors(speed_noise=0.01))
+    recording = drive(draw_truck(rng), "mixed", options.minutes, rng, sensors=Sensors(speed_noise=0.01))
     return Drive.of(recording, "mixed", ("A", "C", "mass"), Config())
 
 
@@ -87,6 +84,7 @@ def hidden_drive(seed: int, number: int, options: argparse.Namespace) -> Drive:
     return Drive.of(world.drive(options.minutes, rng), world.kind, ("mass",), from_dict(RARELY))
 
 
+MASSES = tuple(f"{name}, mass" for name in ("roadload", *LEVEL, *HILLS))
 Answer = Callable[[Drive, Any], Mapping[str, Normal]]  # of a peer, with settings
 
 
@@ -94,10 +92,9 @@ def tuned(name: str, answer: Answer, grid: Sequence[Any], training: Sequence[Dri
     """The settings of ``grid`` with the smallest mean relative error over the ``training`` drives."""
 
     def error(settings: Any) -> float:
+        answers = [(drive, answer(drive, settings)) for drive in training]
         return float(
-            np.mean(
-                [abs(x.mean / drive.truth[key] - 1) for drive in training for key, x in answer(drive, settings).items()]
-            )
+            np.mean([abs(x.mean / drive.truth[key] - 1) for drive, found in answers for key, x in found.items()])
         )
 
     return min(progress(grid, f"tuning {name}"), key=error)
@@ -153,10 +150,10 @@ def tables(figures: Figures) -> list[Table]:
                 errors = [percent(x["median"], 2), percent(x["worst"], 2), percent(x["bias"], 2, "+")]
                 kinds = [percent(found["rms_by_kind"].get(kind) if key == "mass" else None) for kind in KINDS]
                 counts = [str(x["estimated"]), *(str(x[limit]) for limit in limits)]
-                rows.append([name, key, *counts, *errors, *kinds, f"{x['holds']} of {x['estimated']}"])
+                rows.append([f"{name}, {key}", *counts, *errors, *kinds, f"{x['holds']} of {x['estimated']}"])
     words = [limit.replace("_percent", " %").replace("_", " ") for limit in limits]
     kinds = [f"rms, {kind}" for kind in KINDS]
-    columns = ("", "", "estimated", *words, "median error", "worst", "bias", *kinds, "90 % intervals that hold")
+    columns = ("", "estimated", *words, "median error", "worst", "bias", *kinds, "90 % intervals that hold")
     chosen = [
         [name, ", ".join(f"{key} {x:g}" for key, x in found.items())] for name, found in figures["settings"].items()
     ]
@@ -170,7 +167,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hills", action="store_true", help="roads with slopes that no signal shows")
 
 
-CHECK = Check(name="peers", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="Online estimators of the literature",
+    measure=measure,
+    tables=tables,
+    headline=Cells(rows=MASSES, columns=("median error", "90 % intervals that hold")),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

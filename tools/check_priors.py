@@ -3,11 +3,11 @@
     python tools/check_priors.py out/blind [out/other ...]
 
 Folders are those of `check_blind.py`, generated and diagnosed. With the odds of all effects and processes times a
-factor r, the probability p that nothing acts on a drive becomes p / (p + r (1 - p)), as for sets of one cause: drives
-with two effects are left out. An effect that the oracle does not see counts as nothing. The score is the sum of the
-logarithms of the probability that each answer gives to the truth, "nothing" or "something" (Good 1952). The odds are
-`ODDS_OF_EFFECTS` and `ODDS_OF_PROCESSES` in `estimator/components/hypothesis_space.py`. A folder whose drives are all
-clean says nothing of them: how often something acts is part of the odds.
+factor r, the probability p that nothing acts on a drive becomes p / (p + r (1 - p)). That is so for sets of one cause;
+drives with two effects are left out. An effect that the oracle does not see counts as nothing. The score is the sum of
+the logarithms of the probability that each answer gives to the truth, "nothing" or "something" (Good 1952). The odds
+are `ODDS_OF_EFFECTS` and `ODDS_OF_PROCESSES` in `estimator/components/hypothesis_space.py`. A folder whose drives are
+all clean says nothing of them: how often something acts is part of the odds.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import numpy as np
 from blind import answer, diagnose, score, seal
 from blind.case import Case
 from blind.quality import nothing_acts
-from harness.check import Check, Figures, Table
+from harness.check import Cells, Check, Figures, Table
 from scipy.optimize import minimize_scalar
 
 from estimator.errors import InputError
@@ -84,7 +84,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folders", nargs="+", type=Path, metavar="OUT")
 
 
-CHECK = Check(name="priors", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="Prior odds of the diagnosis",
+    first="out/blind",
+    measure=measure,
+    tables=tables,
+    headline=Cells(rows=()),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from harness.check import Check, Figures, Table, percent, progress
+from harness.check import Cells, Check, Figures, Table, percent, progress
 
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.residual.answer import ResidualDiagnosis
@@ -121,13 +121,8 @@ def tables(figures: Figures) -> list[Table]:
     for name, count in tally.items():
         whole = name.split(":")[0]
         rows.append([name, str(count), "" if whole == name else percent(count / max(tally[whole], 1))])
-    return [
-        Table(
-            "",
-            ("", "records", "share"),
-            [*rows, ["bound on false alarms", "", percent(figures["bound_on_false_alarms"])]],
-        )
-    ]
+    bound = ["bound on false alarms", "", percent(figures["bound_on_false_alarms"])]
+    return [Table("", ("", "records", "share"), [*rows, bound])]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -136,7 +131,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1)
 
 
-CHECK = Check(name="residual", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="The residual of any model",
+    measure=measure,
+    tables=tables,
+    headline=Cells(rows=("acting, visible: named", "clean: a name"), columns=("records", "share")),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

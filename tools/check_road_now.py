@@ -3,12 +3,12 @@
     python tools/check_road_now.py [--drives 12] [--training 3] [--minutes 40] [--seed 1]
 
 The drives are those of `check_accuracy.py --hills`, played to the daemon's loop. "At the stride" is the slope at the
-newest stride, given the strides up to it; "as broadcast" the slope where the vehicle is when the message is sent, once
-a second. The peer is the recursion with two forgetting factors of `peers/hills.py`, on roadload's rows, masks and lag.
-It does not see an altimeter. A slope and rolling resistance are one to it: it is told the true A and C of the truck, or
-else those of a usual one. Its settings have the smallest error of the slope on training drives, with A and C told. Both
-are compared at the strides whose force is known, and the peer has the rows up to the end of each. All errors are from
-the first broadcast on, in per cent of slope.
+newest stride, given the strides up to it. "As broadcast" is the slope where the vehicle is when the message is sent,
+once a second. The peer is the recursion with two forgetting factors of `peers/hills.py`, on roadload's rows, masks and
+lag. It does not see an altimeter. A slope and rolling resistance are one to it: it is told the true A and C of the
+truck, or else those of a usual one. Its settings have the smallest error of the slope on training drives, with A and C
+told. Both are compared at the strides whose force is known, and the peer has the rows up to the end of each. All errors
+are from the first broadcast on, in per cent of slope.
 """
 
 import argparse
@@ -18,10 +18,9 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise, product
 
 import numpy as np
-from harness.check import Check, Figures, Table, drive_options, percent, progress
+from harness.check import Cells, Check, Figures, Table, drive_options, percent, progress
 from harness.drives import ALTIMETERS, hills, numbered, traffic
 from harness.scores import rms
-from numpy.typing import NDArray
 from peers.hills import Known, TwoFactors, slopes_by_two_factors
 from peers.level import START, Z90, Stretch, stretches
 
@@ -44,13 +43,12 @@ PERCENT = 100.0
 class Drive:
     """One drive: what was found ``at_strides`` and ``broadcast``, and what the peer gets.
 
-    Both are (n, 4): time [s], error, standard deviation and true slope [%]. ``now`` (m, 3): times of the broadcasts and
-    of the newest rows then [s], true slope [%]. ``heights`` (k, 2): error and standard deviation [m].
+    Both are (n, 4): time [s], error, standard deviation and true slope [%]. ``heights`` (k, 2): error and standard
+    deviation [m].
     """
 
     at_strides: Floats
     broadcast: Floats
-    now: Floats
     heights: Floats
     data: list[Stretch]
     known: Known
@@ -77,7 +75,7 @@ class Drive:
             belief = ahead.belief
             at_stride = PERCENT * np.array([belief.mean[0], np.sqrt(belief.covariance[0, 0])])
             strides[belief.t] = [belief.t, at_stride[0] - true(belief.t), at_stride[1], true(belief.t)]
-            seconds.append([t, PERCENT * found.sine - true(t), PERCENT * found.sd, true(t), ahead.t])
+            seconds.append([t, PERCENT * found.sine - true(t), PERCENT * found.sd, true(t)])
             rise = float(np.interp(t - begin, truth.t, truth.altitude)) - truth.altitude[0]
             heights.append([found.height - rise, found.height_sd])
 
@@ -88,34 +86,24 @@ class Drive:
             listener.turn(float(frames.t[last - 1]))
         worker.close()
         rows = [x for item in RowStream(Config()).feed(frames) if isinstance(item, Block) for x in item.rows]
-        evidence, sent = worker.pipeline.estimator.evidence, np.array(seconds).reshape(-1, 5)
+        evidence = worker.pipeline.estimator.evidence
         return cls(
             at_strides=np.array(list(strides.values())).reshape(-1, 4),
-            broadcast=sent[:, :4],
-            now=sent[:, [0, 4, 3]],
+            broadcast=np.array(seconds).reshape(-1, 4),
             heights=np.array(heights).reshape(-1, 2),
             data=stretches(Rows.concatenate(*rows), Config().admission, 0.0 if evidence is None else evidence.lag),
             known=Known(truth.truck.A, truth.truck.C),
         )
 
-    def beside(self, settings: TwoFactors, known: Known) -> tuple[Floats, Floats]:
-        """Errors [%] where the force is known, own and the peer's (n, 2), and the peer's held until broadcasts (m,)."""
+    def beside(self, settings: TwoFactors, known: Known) -> Floats:
+        """Errors [%] where the force is known, own and the peer's (n, 2)."""
         t, found = slopes_by_two_factors(self.data, settings, known).T
         ends = self.at_strides[:, 0] + DURATION / 2
-
-        def newest(until: Floats) -> NDArray[np.intp]:
-            return np.clip(np.searchsorted(t, until, side="right") - 1, 0, None)
-
-        at_ends = newest(ends)
+        at_ends = np.clip(np.searchsorted(t, ends, side="right") - 1, 0, None)
         near = np.abs(t[at_ends] - ends) < NEAR
         theirs = PERCENT * found[at_ends] - self.at_strides[:, 3]
-        held = PERCENT * found[newest(self.now[:, 1])] - self.now[:, 2]
-        return np.column_stack([self.at_strides[:, 1], theirs])[near], held
-
-
-def rms_of(errors: Sequence[Floats]) -> float:
-    """Root mean square of the errors of all drives."""
-    return rms(np.concatenate(errors).tolist())
+        errors: Floats = np.column_stack([self.at_strides[:, 1], theirs])[near]
+        return errors
 
 
 def figures_of(drives: Sequence[Drive], settings: TwoFactors) -> Figures:
@@ -125,7 +113,7 @@ def figures_of(drives: Sequence[Drive], settings: TwoFactors) -> Figures:
         within = [float(np.mean(np.abs(part[:, 1]) <= Z90 * part[:, 2])) for part in parts]
         every = np.concatenate(parts)
         figures[name] = {
-            "rms": rms_of([part[:, 1] for part in parts]),
+            "rms": rms(np.concatenate([part[:, 1] for part in parts])),
             "sd": float(np.sqrt(np.mean(every[:, 2] ** 2))),
             "holds": float(np.mean(np.abs(every[:, 1]) <= Z90 * every[:, 2])),
             "holds_least": min(within),
@@ -134,18 +122,16 @@ def figures_of(drives: Sequence[Drive], settings: TwoFactors) -> Figures:
     told = [x.beside(settings, x.known) for x in drives]
     usual = [x.beside(settings, USUAL) for x in drives]
     figures["beside"] = {
-        "roadload": rms_of([x[0][:, 0] for x in told]),
-        "peer_told": rms_of([x[0][:, 1] for x in told]),
-        "peer_usual": rms_of([x[0][:, 1] for x in usual]),
-        "roadload_about_mean": rms_of([x[0][:, 0] - x[0][:, 0].mean() for x in told]),
-        "peer_about_mean": rms_of([x[0][:, 1] - x[0][:, 1].mean() for x in told]),
-        "peer_told_broadcast": rms_of([x[1] for x in told]),
-        "peer_usual_broadcast": rms_of([x[1] for x in usual]),
+        "roadload": rms(np.concatenate([x[:, 0] for x in told])),
+        "peer_told": rms(np.concatenate([x[:, 1] for x in told])),
+        "peer_usual": rms(np.concatenate([x[:, 1] for x in usual])),
+        "roadload_about_mean": rms(np.concatenate([x[:, 0] - x[:, 0].mean() for x in told])),
+        "peer_about_mean": rms(np.concatenate([x[:, 1] - x[:, 1].mean() for x in told])),
     }
     heights = np.concatenate([x.heights for x in drives])
     if np.isfinite(heights).all():
         holds = float(np.mean(np.abs(heights[:, 0]) <= Z90 * heights[:, 1]))
-        figures["height"] = {"rms": rms_of([x.heights[:, 0] for x in drives]), "holds": holds}
+        figures["height"] = {"rms": rms(np.concatenate([x.heights[:, 0] for x in drives])), "holds": holds}
     return figures
 
 
@@ -157,7 +143,9 @@ def measure(options: argparse.Namespace) -> Figures:
         return [drive for drive in drives if len(drive.broadcast)]
 
     training = simulated(TRAINING_SEED, numbered(options.training, "hidden"), "driving for training")
-    settings = min(TWO_FACTORS, key=lambda x: rms_of([drive.beside(x, drive.known)[0][:, 1] for drive in training]))
+    settings = min(
+        TWO_FACTORS, key=lambda x: rms(np.concatenate([drive.beside(x, drive.known)[:, 1] for drive in training]))
+    )
     drives = {name: simulated(options.seed, numbered(options.drives, name), f"driving, {name}") for name in ALTIMETERS}
     roads = {name: figures_of(driven, settings) for name, driven in drives.items() if driven}
     return {"settings": asdict(settings), "roads": roads}
@@ -171,12 +159,12 @@ def tables(figures: Figures) -> list[Table]:
             found = x[key]
             errors = [f"{found['rms']:.2f} %", f"{found['sd']:.2f} %"]
             holds = [percent(found["holds"], 0), percent(found["holds_least"], 0)]
-            rows.append([name, f"{x['drives']}, {x['hours']:.1f}", f"{found['slopes']:.2f} %", what, *errors, *holds])
+            driven = [str(x["drives"]), f"{x['hours']:.1f}", f"{found['slopes']:.2f} %"]
+            rows.append([f"{name}, {what}", *driven, *errors, *holds])
         if "height" in x:
-            rows.append(
-                [name, "", "", "height", f"{x['height']['rms']:.1f} m", "", percent(x["height"]["holds"], 0), ""]
-            )
-    columns = ("road", "drives, h", "slopes, sd", "", "rms", "expected sd", "within 90 %", "least of a drive")
+            error, holds = f"{x['height']['rms']:.1f} m", [percent(x["height"]["holds"], 0), ""]
+            rows.append([f"{name}, height", *driven[:2], "", error, "", *holds])
+    columns = ("road", "drives", "h", "slopes, sd", "rms", "expected sd", "within 90 %", "least of a drive")
     beside = {name: x["beside"] for name, x in figures["roads"].items()}
     names = list(next(iter(beside.values()), ()))
     compared = [[name, *(f"{value:.2f} %" for value in x.values())] for name, x in beside.items()]
@@ -191,7 +179,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--training", type=int, default=3, metavar="DRIVES", help="with a hidden road")
 
 
-CHECK = Check(name="road_now", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="The slope under the vehicle",
+    measure=measure,
+    tables=tables,
+    headline=Cells(columns=("rms", "within 90 %")),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from harness.check import Check, Figures, Table, percent, progress
-from harness.drives import estimates, traffic, without_road
+from harness.check import Cells, Check, Figures, Table, percent, progress
+from harness.drives import estimates, showing, traffic
 from harness.scores import Score, summary
 
 from estimator.can_io.frames import Frames
@@ -22,7 +22,6 @@ from estimator.estimates import Marginal
 from estimator.simulation.noise import smooth
 from estimator.simulation.recording import record
 from estimator.simulation.route import GRADE_SPACING, HILL_LENGTH, KMH, Route
-from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import Truck
 from estimator.units import STANDARD_GRAVITY
 
@@ -65,7 +64,7 @@ def line(stops: int, slopes: float, rng: np.random.Generator) -> tuple[Frames, l
             grade=ground[place : place + length + 2],
         )
         bus = replace(bus, mass=mass, A=rolling * STANDARD_GRAVITY * mass)
-        way = record(bus, road, LONGEST, rng, sensors=Sensors(without=without_road()))
+        way = record(bus, road, LONGEST, rng, sensors=showing())
         moving = way.truth.t[way.truth.v > 0]
         until = float(moving[-1] + rng.uniform(*STANDING))
         frames = traffic(way)
@@ -124,7 +123,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1)
 
 
-CHECK = Check(name="short_stops", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="The mass from stop to stop",
+    measure=measure,
+    tables=tables,
+    headline=Cells(columns=("with a mass", "rms error", "interval holds")),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -17,15 +17,14 @@ from typing import Any
 
 import numpy as np
 from check_budget import fitted, true_shares
-from harness.check import Check, Figures, Table, drive_options, percent, progress
-from harness.drives import METRES_PER_MINUTE, diagnosed, estimates, loaded, traffic, without_road
-from harness.scores import Score
+from harness.check import Cells, Check, Figures, Table, drive_options, percent, progress
+from harness.drives import METRES_PER_MINUTE, diagnosed, estimates, loaded, showing, traffic
+from harness.scores import Score, rms
 
 from estimator.components.budget import ROAD
 from estimator.config import Config
 from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import GRADE_SPACING, generate_route
-from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
 
 LOADS = (18e3, 36e3)  # kg, of the whole truck
@@ -49,9 +48,7 @@ class World:
         level = generate_route("mixed", minutes * METRES_PER_MINUTE, rng)
         phase = 2 * np.pi * (GRADE_SPACING * np.arange(len(level.grade)) / self.length + rng.random())
         route = replace(level, grade=self.amplitude * np.sin(phase))
-        noise = ALTIMETERS[self.shown]
-        sensors = Sensors(altitude_noise=noise or 0.0, without=without_road(noise))
-        return record(truck, route, 60 * minutes, rng, sensors=sensors)
+        return record(truck, route, 60 * minutes, rng, sensors=showing(ALTIMETERS[self.shown]))
 
 
 def score(world: World, recording: Recording, folder: Path) -> dict[str, Any]:
@@ -109,23 +106,25 @@ def measure(options: argparse.Namespace) -> Figures:
 
 def tables(figures: Figures) -> list[Table]:
     """A row for each drive."""
-    columns = (
-        "t",
-        "grade",
-        "road",
-        "mass",
-        "holds",
-        "amplitude",
-        "named",
-        "road's share",
-        "found",
-        "kW before, left if known",
-    )
-    return [Table("", columns, [row(found) for found in figures["drives"]])]
+    columns = ("t", "grade", "road", "mass", "holds", "amplitude", "named", "road's share", "found", "kW before, left")
+    known = [found for found in figures["drives"] if found["error"] is not None]
+    error, holds = percent(rms([found["error"] for found in known])), sum(found["holds"] for found in known)
+    masses = {
+        "": "all",
+        "drives": len(figures["drives"]),
+        "masses": len(known),
+        "rms error": error,
+        "intervals that hold": holds,
+    }
+    return [Table.of("", [masses]), Table("Drives", columns, [row(found) for found in figures["drives"]])]
 
 
 CHECK = Check(
-    name="sine_grade", about=__doc__, measure=measure, tables=tables, options=drive_options(drives=24, minutes=40.0)
+    title="Roads whose grade is a sine",
+    measure=measure,
+    tables=tables,
+    headline=Cells(),
+    options=drive_options(drives=24, minutes=40.0),
 )
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Gap closed as predicted on one drive, and as measured on another drive of the same truck.
 
-    python tools/check_transfer.py [--effect NAME ...] [--minutes 60] [--seed 1]
+    python tools/check_transfer.py [--effect NAME NAME ...] [--minutes 60] [--seed 1]
 
 For each effect one simulated truck makes two drives on different roads, the effect in both. The first is diagnosed:
 this gives the prediction. The second is diagnosed without and with `--effect` for the effects named on the first: this
@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from harness.check import Check, Figures, Table, progress
+from harness.check import Cells, Check, Figures, Table, progress
 from harness.drives import diagnose, named, roadload
 
 from estimator.answers.diagnosis import DiagnosisAnswer
@@ -68,7 +68,7 @@ def _reached(plain: DiagnosisAnswer, extended: DiagnosisAnswer) -> float | None:
 
 def measure(options: argparse.Namespace) -> Figures:
     """A row for each effect."""
-    effects = list(options.effect or EFFECTS)
+    effects = options.effect
     with tempfile.TemporaryDirectory() as folder:
         pairs = (
             (effect, simulate_pair(effect, options.minutes, options.seed + 2 * effects.index(effect), Path(folder)))
@@ -84,12 +84,18 @@ def tables(figures: Figures) -> list[Table]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the effects and the drives."""
-    parser.add_argument("--effect", action="append", metavar="NAME", help=f"default: {', '.join(EFFECTS)}")
+    parser.add_argument("--effect", nargs="+", default=list(EFFECTS), metavar="NAME", help="default: %(default)s")
     parser.add_argument("--minutes", type=float, default=60.0, help="of each drive; default: %(default)g")
     parser.add_argument("--seed", type=int, default=1)
 
 
-CHECK = Check(name="transfer", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    title="The promise on another drive",
+    measure=measure,
+    tables=tables,
+    headline=Cells(columns=("promised [%]", "reached on drive 2 [%]")),
+    options=add_options,
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -1,11 +1,13 @@
-"""Attacks on a real SocketCAN bus: attacks_vm.py [--throughout] [--skip N] [--folder FOLDER] [--out].
+"""Attacks on a real SocketCAN bus, one after the other.
 
-A drive with one attack after the other is played on a virtual CAN bus in a machine with systemd, to the service of the
-Debian package, at the speed of driving: the kernel gives the times of the frames. The parameters that the service
-broadcasts are compared with the truth, and the outcome of every attack with that of the same drive in process. With
-``--throughout`` the attacks that begin with the drive are played instead, on a short drive each. Attacks that are not
-played keep what results/attacks_socketcan.json has of them. Exit status 1 if a wrong parameter was broadcast. Needs
-what package_vm.py needs; 48 minutes of driving take half an hour of an idle processor.
+    python tests/nightly/attacks_vm.py [--throughout] [--skip N] [--folder FOLDER] [--out]
+
+A drive with one attack after the other is played on a virtual CAN bus, at the speed of driving. The Debian package's
+service hears it in a machine with systemd, and the kernel gives the times of the frames. The parameters that the
+service broadcasts are compared with the truth, and the outcome of every attack with that of the same drive in process.
+With ``--throughout`` the attacks that begin with the drive are played instead, on a short drive each. Attacks that are
+not played keep what results/attacks_vm.json has of them. Exit status 1 if a wrong parameter was broadcast. Needs what
+package_vm.py needs; 48 minutes of driving take half an hour of an idle processor.
 """
 
 import argparse
@@ -23,8 +25,8 @@ from attack_sequence import OWN, Heard, Result, Slot, Values, chosen, duration, 
 from bus_attacks.catalogue import Attack
 from bus_attacks.trial import look_at
 from cantools.typechecking import DecodeResultType
-from check_attacks import VERDICTS, drive_of, seconds
-from harness.check import RESULTS, Check, Figures, Table
+from check_attacks import VERDICTS, counted, drive_of, seconds
+from harness.check import RESULTS, Cells, Check, Figures, Table
 from package_vm import share_package
 from vm.debian import VmError, system
 from vm.machine import CONSOLE, EARLY_GATE, QUICK_SAMPLER, require_qemu, run
@@ -36,7 +38,7 @@ from estimator.can_io.publisher import output_database
 from estimator.commands.demo import TRUCK
 from estimator.errors import RoadloadError
 
-NAME, IN_TURN, THROUGHOUT = "attacks_socketcan", "one after the other", "throughout"
+IN_TURN, THROUGHOUT = "one after the other", "throughout"
 LONGEST = 5400.0  # s of the host
 SEED, SEED_THROUGHOUT = 20261123, 20261124  # with these there is an estimate after 345 s and, by EARLY_GATE, 200 s
 # A shorter contest, so that the next attack can begin sooner; values every second, to see when they are withheld.
@@ -94,7 +96,7 @@ def measure(options: argparse.Namespace) -> Figures:
         judged = results_of_drives if options.throughout else results
         found, said = judged(plays, [heard_in(share, one) for one in plays]), summary(share, plays)
     rows = rows_of(found, judged(plays, [of_looks(look_at(one.frames, config)) for one in plays]))
-    kept = RESULTS / f"{NAME}.json"
+    kept = RESULTS / f"{CHECK.name}.json"
     earlier: Figures = json.loads(kept.read_bytes())["figures"] if kept.exists() else {}
     name = THROUGHOUT if options.throughout else IN_TURN
     told = {"wrong": any(one.is_wrong for one in found)}
@@ -231,22 +233,25 @@ def with_earlier(rows: list[Row], said: str, earlier: Figures | None, order: lis
 
 
 def tables(figures: Figures) -> list[Table]:
-    """A table of the attacks in turn, and one of those throughout."""
-    return [table(name, figures[name]) for name in (IN_TURN, THROUGHOUT) if name in figures]
+    """Counts of the outcomes with what is said of the runs, and the attacks in turn and throughout."""
+    there = {name: figures[name] for name in (IN_TURN, THROUGHOUT) if name in figures}
+    return [
+        Table.of("", [{"": name} | summed(found) for name, found in there.items()]),
+        *(table(name, found["attacks"]) for name, found in there.items()),
+    ]
 
 
-def table(name: str, figures: Figures) -> Table:
-    """The counts of the outcomes, what is said of the runs, and the rows."""
+def summed(figures: Figures) -> Row:
+    """Counts of the outcomes, and what is said of the runs."""
     rows = figures["attacks"]
-    counts = ", ".join(f"{kind} {sum(row['outcome'] == kind for row in rows)}" for kind in VERDICTS)
     same = sum(row["outcome"] == row["in_process"]["outcome"] for row in rows)
-    worst = max((row["worst_sd"] or 0.0 for row in rows), default=0.0)
-    title = (
-        f"{name}: {len(rows)} attacks: {counts}; largest deviation {worst:.1f} sd. The outcome of {same} is that in "
-        f"process. {' '.join(figures['runs'])}"
-    )
+    return {**counted(rows), "outcome as in process": same, "runs": " ".join(figures["runs"])}
+
+
+def table(name: str, rows: list[Row]) -> Table:
+    """A row for each attack."""
     columns = ("attack", "outcome", "withheld after", "back after", "largest deviation", "in process")
-    return Table(title, columns, [[row["attack"], *_words(row), ", ".join(_words(row["in_process"]))] for row in rows])
+    return Table(name, columns, [[row["attack"], *_words(row), ", ".join(_words(row["in_process"]))] for row in rows])
 
 
 def _figures(one: Result) -> Row:
@@ -281,10 +286,10 @@ def summary(share: Path, plays: list[Play]) -> str:
 
 
 CHECK = Check(
-    name=NAME,
-    about=__doc__,
+    title="Attacks on a SocketCAN bus",
     measure=measure,
     tables=tables,
+    headline=Cells(columns=("attacks", *VERDICTS, "largest deviation")),
     options=add_options,
     fails=lambda figures: bool(figures["wrong"]),
 )

@@ -94,7 +94,7 @@ def test_no_attack_makes_a_wrong_mass_estimated(drive: Frames, clean: list[Look]
     assert outcome.verdict in ("unharmed", "withheld")
     if "throughout" in name:
         assert outcome.looks == 0
-        assert outcome.reasons
+        assert outcome.contested_for
     else:
         assert outcome.looks > 20
 
@@ -114,11 +114,11 @@ def test_lone_wrong_speeds_do_no_harm(long_drive: Frames, long_clean: list[Look]
 def test_an_attack_that_ends_leaves_nothing_behind(long_drive: Frames, long_clean: list[Look], name: str):
     outcome = attempt(ATTACKS[name], long_drive, long_clean, TRUCK, Config())
     assert outcome.verdict == "withheld"
-    assert outcome.withheld_after is not None
-    assert outcome.withheld_after <= NOTICED
-    assert outcome.recovered_after is not None
-    assert outcome.recovered_after <= BACK
-    assert outcome.reasons
+    assert outcome.withheld_after_s is not None
+    assert outcome.withheld_after_s <= NOTICED
+    assert outcome.back_after_s is not None
+    assert outcome.back_after_s <= BACK
+    assert outcome.contested_for
 
 
 def test_a_receiver_reads_not_available_while_an_input_is_contested(drive: Frames):

@@ -21,7 +21,7 @@ from attack_sequence import (
     results,
     throughout,
 )
-from attacks_vm import Play, Row, has_ended, heard_in, rows_of, summary, table, with_earlier
+from attacks_vm import Play, Row, has_ended, heard_in, rows_of, summary, summed, with_earlier
 from bus_attacks.catalogue import attacks
 from bus_attacks.forging import announcements
 
@@ -193,9 +193,9 @@ def test_a_service_that_falls_silent_is_heard_as_withheld_to_the_end_of_the_driv
 def test_the_table_counts_outcomes_and_those_that_differ() -> None:
     one = results(heard(withheld=(110, 150)), SLOTS, TRUCK)
     other = results(heard(), SLOTS, TRUCK)
-    title = table("in turn", {"runs": ["so many frames."], "attacks": rows_of([*one, *other], [*one, *one])}).title
-    assert "2 attacks: unharmed 1, withheld 1, silently biased 0" in title
-    assert "The outcome of 1 is that in process. so many frames." in title
+    found = summed({"runs": ["so many frames."], "attacks": rows_of([*one, *other], [*one, *one])})
+    assert [found[key] for key in ("attacks", "unharmed", "withheld", "silently biased")] == [2, 1, 1, 0]
+    assert (found["outcome as in process"], found["runs"]) == (1, "so many frames.")
 
 
 def row(attack: str, outcome: str, worst: float | None, in_process: str) -> Row:
@@ -212,8 +212,9 @@ def test_a_table_keeps_the_rows_of_attacks_that_were_not_played_again() -> None:
     first = {"runs": ["first run."], "attacks": [a, c]}
     both = with_earlier(new, "second run.", first, ["a", "b", "c"])
     assert both == {"runs": ["first run.", "second run."], "attacks": [a, *new]}
-    title = table("in turn", both).title
-    assert "3 attacks: unharmed 1, withheld 2, silently biased 0; largest deviation 3.0 sd. The outcome of 2" in title
+    found = summed(both)
+    assert [found[key] for key in ("attacks", "unharmed", "withheld", "silently biased")] == [3, 1, 2, 0]
+    assert (found["largest deviation"], found["outcome as in process"]) == ("3.0 sd", 2)
     again = with_earlier([*new, a], "second run.", both, ["a", "b", "c"])
     assert again == {"runs": ["second run."], "attacks": [a, *new]}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness.check import RESULTS, Check, Figures, Table, cell
+from harness.check import Cells, Check, Figures, Table, cell
 from harness.scores import Score, bootstrap, share, summary
 from project_paths import TESTS
 
@@ -34,7 +34,12 @@ def tables(figures: Figures) -> list[Table]:
 
 
 CHECK = Check(
-    name="draws", about="Draws.", measure=measure, tables=tables, options=options, fails=lambda x: x["count"] > 3
+    title="Draws",
+    measure=measure,
+    tables=tables,
+    headline=Cells(rows=("a",), columns=("mean",)),
+    options=options,
+    fails=lambda x: x["count"] > 3,
 )
 
 
@@ -45,7 +50,7 @@ def test_the_same_options_write_the_same_bytes(tmp_path: Path, capsys: Captured)
     assert paths[0].read_bytes() == paths[1].read_bytes()
     record = json.loads(paths[0].read_bytes())
     assert {key: record[key] for key in ("check", "version", "options")} == {
-        "check": "draws",
+        "check": "test_harness",
         "version": __version__,
         "options": {"seed": 4},  # and no path of this machine
     }
@@ -55,9 +60,9 @@ def test_the_same_options_write_the_same_bytes(tmp_path: Path, capsys: Captured)
 
 def test_tables_are_made_of_what_was_written(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "draws.json"
-    assert CHECK.main(["--seed", "4", "--out", str(path), "--markdown"]) == 0
+    assert CHECK.main(["--seed", "4", "--out", str(path)]) == 0
     page = capsys.readouterr().out
-    assert CHECK.main(["--read", str(path), "--markdown"]) == 0
+    assert CHECK.main(["--read", str(path)]) == 0
     assert capsys.readouterr().out == page
     assert page.startswith("## Draws\n\n| name | mean | interval | none |\n| --- | --- | --- | --- |\n| a/b | ")
     record = json.loads(path.read_bytes())
@@ -108,14 +113,16 @@ def test_intervals_of_shares_and_medians() -> None:
     assert found.high - found.low == pytest.approx(2 * 1.96 * sample.std() / 20, rel=0.1)
 
 
-def test_what_is_kept_names_its_check_version_and_options() -> None:
-    kept = sorted(RESULTS.glob("*.json"))
-    assert len(kept) >= 3
-    for path in kept:
-        record = json.loads(path.read_bytes())
-        assert [key for key in record if key != "date"] == ["check", "version", "options", "figures"]
-        assert record["check"] == path.stem
-        assert record["figures"]
+def test_the_command_of_a_record_gives_its_options() -> None:
+    assert CHECK.command({"seed": 1}) == "python tests/tools/test_harness.py"
+    assert CHECK.command({"seed": 4}) == "python tests/tools/test_harness.py --seed 4"
+
+
+def test_the_most_important_cells_have_the_names_of_their_rows_and_columns() -> None:
+    made = [Table("", ("", "mean", "sd"), [["a", "1", "2"], ["ab", "3", "4"], ["b", "5", "6"]]), Table("x", (), [])]
+    assert CHECK.headline.text(made) == "**a** mean: 1; **ab** mean: 3"
+    assert Cells().text(made) == "**a** mean: 1, sd: 2; **ab** mean: 3, sd: 4; **b** mean: 5, sd: 6"
+    assert Cells(rows=()).text(made) == Cells(table="x").text(made) == Cells(table="none").text(made) == ""
 
 
 @pytest.mark.slow

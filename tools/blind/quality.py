@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from harness.scores import Floats, bootstrap, calibration_error, share
+from harness.scores import Floats, bootstrap, calibration_error, rms, share
 
 from blind import answer
 from blind.case import Case, Measure, is_visible, share_of
@@ -103,7 +103,7 @@ def parameters(cases: Sequence[Case]) -> list[Measure]:
                 held[case.truth.drive] = abs(value - case.truth.parameters[key]) < SDS_OF_90_PERCENT * sd
         lines += [
             statistic(f"{label} with the right effects: {name} error", goal, "per cent", measure, errors)
-            for name, goal, measure in (("median", "0 %", _median), ("rms", "small", _rms))
+            for name, goal, measure in (("median", "0 %", _median), ("rms", "small", rms))
         ]
         with_sd = [case.truth.drive for case in good if case.truth.drive in held]
         failures = tuple(drive for drive in with_sd if not held[drive])
@@ -122,7 +122,7 @@ def cost(cases: Sequence[Case]) -> list[Measure]:
     return [
         replace(statistic("processor time for a log, median", "<= 10 s", "s", _median, seconds), failures=slow),
         statistic("processor time for a log, 95 % quantile", "<= 10 s", "s", _high, seconds),
-        statistic("peak memory, largest", "-", "MB", _largest, peak),
+        statistic("peak memory, largest", "-", "MB", np.max, peak),
     ]
 
 
@@ -136,13 +136,5 @@ def _median(x: Floats) -> float:
     return float(np.median(x))
 
 
-def _rms(x: Floats) -> float:
-    return float(np.sqrt(np.mean(x**2)))
-
-
 def _high(x: Floats) -> float:
     return float(np.quantile(x, 0.95))
-
-
-def _largest(x: Floats) -> float:
-    return float(x.max())

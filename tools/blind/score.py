@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from blind.answer import Run
-from blind.case import Case, Measure, claimed, is_visible, right_first, share_of
+from blind.case import Case, Measure, is_visible, right_first, share_of
 from blind.naming import naming
 from blind.quality import cost, gap_closed_and_times, parameters, probabilities
 from blind.truth import Truth
@@ -13,10 +13,9 @@ from blind.truth import Truth
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """All tables: measures; measures by noise level and by effect; confusion of names."""
+    """All tables: measures, those by effect, and the confusion of names."""
 
     measures: tuple[Measure, ...]
-    by_noise: tuple[Measure, ...]
     by_effect: tuple[Measure, ...]
     confusion: dict[str, dict[str, int]]  # truth: counts of first names
     failed: tuple[str, ...]  # drives without an answer
@@ -37,23 +36,10 @@ def score(cases: Sequence[Case]) -> Score:
             *parameters(cases),
             *cost(cases),
         ),
-        by_noise=tuple(_by_noise(cases)),
         by_effect=tuple(_by_effect(cases)),
         confusion=confusion(cases),
         failed=tuple(case.truth.drive for case in cases if case.run.answer is None),
     )
-
-
-def _by_noise(cases: Sequence[Case]) -> Iterable[Measure]:
-    levels = sorted({(c.truth.speed_noise, c.truth.torque_resolution) for c in cases})
-    groups = {f"speed noise {1e3 * v:g} mm/s": {x for x in levels if x[0] == v} for v, _ in levels}
-    groups |= {f"torque resolution {100 * T:g} %": {x for x in levels if x[1] == T} for _, T in levels}
-    for name, members in groups.items():
-        here = [c for c in cases if (c.truth.speed_noise, c.truth.torque_resolution) in members]
-        clean = [c for c in here if c.truth.kind == "clean"]
-        single = [c for c in here if c.truth.kind == "single" and is_visible(c)]
-        yield share_of(f"{name}: false alarms", "<= 1 %", clean, claimed, lower=True)
-        yield share_of(f"{name}: named first", ">= 95 %", single, right_first)
 
 
 def _by_effect(cases: Sequence[Case]) -> Iterable[Measure]:

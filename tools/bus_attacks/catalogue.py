@@ -53,7 +53,7 @@ def attacks() -> Iterator[Attack]:
     for name, forge in _FIRST.items():
         yield Attack(name=f"{name} before the vehicle's first frame", apply=forge, shares=(0.0, 0.001))
     yield Attack(name="the engine's controller changes its address", apply=_moves, shares=(0.5, 0.5))
-    yield Attack(name="one foreign EC1 of 3,250 Nm", apply=_one_reference, shares=(0.5, 0.501))
+    yield Attack(name="one foreign EC1 of 3,250 Nm", apply=partial(_one_reference, 0.0), shares=(0.5, 0.501))
 
 
 def _interleaved(
@@ -77,12 +77,6 @@ def _mixed(message: tuple[str, str], factor: float, drive: Frames, start: float,
     period = float(np.median(np.diff(real.t)))
     moved = later(scaled(real[picked], *message, factor), np.random.default_rng(2).uniform(0, period, len(real)))
     return merged(drive, moved)
-
-
-def _shadowed(message: tuple[str, str], factor: float, drive: Frames, start: float, stop: float) -> Frames:
-    """A forged frame right after each real one."""
-    real = between(group(drive, message[0]), start, stop)
-    return merged(drive, later(scaled(real, *message, factor), JUST_AFTER))
 
 
 def _sparse(message: tuple[str, str], factor: float, every: int, drive: Frames, start: float, stop: float) -> Frames:
@@ -114,18 +108,15 @@ def _references(source: int, drive: Frames, start: float, stop: float) -> Frames
     return merged(drive, forging.reference_torque(later(real, EC1_PERIOD / 2).t, 3250.0, source))
 
 
-def _one_reference(drive: Frames, start: float, stop: float) -> Frames:
-    return merged(drive, forging.reference_torque(np.array([start]), 3250.0, FOREIGN))
+def _one_reference(before: float, drive: Frames, start: float, stop: float) -> Frames:
+    """A foreign EC1, so many seconds before the attack begins."""
+    return merged(drive, forging.reference_torque(np.array([start - before]), 3250.0, FOREIGN))
 
 
 def _flickering(message: str, signal: str, drive: Frames, start: float, stop: float) -> Frames:
     """A switch that reads "off" right after each real frame, whatever it read."""
     real = between(group(drive, message), start, stop)
     return merged(drive, later(forging.given(real, message, signal, np.zeros(len(real), np.int64)), JUST_AFTER))
-
-
-def _first_reference(drive: Frames, start: float, stop: float) -> Frames:
-    return merged(drive, forging.reference_torque(np.array([start - BEFORE]), 3250.0, FOREIGN))
 
 
 def _first_frame(message: tuple[str, str], drive: Frames, start: float, stop: float) -> Frames:
@@ -146,7 +137,7 @@ _SUSTAINED: dict[str, Forge] = {
     "EEC1 torque x 1.3 at ten times the rate, same address": partial(_flooded, TORQUE, 1.3, 10),
     "EEC1 torque x 1.1 at three times the rate, same address": partial(_flooded, TORQUE, 1.1, 3),
     "EEC1 torque x 1.3 at random times, same address": partial(_mixed, TORQUE, 1.3),
-    "EEC1 torque x 1.3 right after each, same address": partial(_shadowed, TORQUE, 1.3),
+    "EEC1 torque x 1.3 right after each, same address": partial(_sparse, TORQUE, 1.3, 1),
     "EEC1 engine speed x 1.2 in turn, same address": partial(_interleaved, ("EEC1", "EngSpeed"), 1.2),
     "EEC1 torque x 1.3, other address": partial(_interleaved, TORQUE, 1.3, source=FOREIGN),
     "CCVS1 speed x 1.1 in turn, same address": partial(_interleaved, SPEED, 1.1),
@@ -170,7 +161,7 @@ _SUSTAINED: dict[str, Forge] = {
     "ETC1 driveline open right after each, same address": partial(_flickering, "ETC1", "TransDrivelineEngaged"),
 }
 _FIRST: dict[str, Forge] = {
-    "one foreign EC1 of 3,250 Nm": _first_reference,
+    "one foreign EC1 of 3,250 Nm": partial(_one_reference, BEFORE),
     "one foreign EEC1": partial(_first_frame, TORQUE),
     "one foreign CCVS1": partial(_first_frame, SPEED),
 }

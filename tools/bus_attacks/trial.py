@@ -1,6 +1,5 @@
 """One attack on one drive: the broadcast parameters during and after it, and their errors."""
 
-from collections import Counter
 from dataclasses import dataclass
 from math import ceil
 
@@ -36,18 +35,18 @@ class Outcome:
     """Times [s] at which the estimate was withheld and came back, None where it was not, and its largest errors."""
 
     looks: int  # with an estimate, from the start of the attack on
-    worst_sd: float  # largest deviation from the truth of mass, A and C, in posterior standard deviations
-    worst_share: float  # largest of the mass, as a share of the truth
-    withheld_after: float | None  # from the start of the attack
-    recovered_after: float | None  # from its end, until there is an estimate again
-    reasons: Counter[str]  # of contests, by look
+    withheld_after_s: float | None  # from the start of the attack
+    back_after_s: float | None  # from its end, until there is an estimate again
+    worst_sd: float | None  # largest deviation from the truth of mass, A and C, in posterior standard deviations
+    worst_share_of_mass: float | None  # largest of the mass, as a share of the truth
+    contested_for: list[str]
 
     @property
     def verdict(self) -> str:
         """Outcome in one or two words, for the table."""
-        if self.worst_sd > BIASED_SD:
+        if (self.worst_sd or 0.0) > BIASED_SD:
             return "silently biased"
-        return "unharmed" if self.withheld_after is None else "withheld"
+        return "unharmed" if self.withheld_after_s is None else "withheld"
 
 
 def look_at(frames: Frames, config: Config) -> list[Look]:
@@ -83,9 +82,9 @@ def attempt(attack: Attack, drive: Frames, clean: list[Look], truck: Truck, conf
     back = [t for t in sorted(there) if t > stop and missing and t > missing[0]]
     return Outcome(
         looks=len(known),
-        worst_sd=max(deviations(after, truck), default=0.0),
-        worst_share=max((abs(m.mean / truck.mass - 1) for m in known), default=0.0),
-        withheld_after=missing[0] - start if missing else None,
-        recovered_after=back[0] - stop if back else None,
-        reasons=Counter(reason for look in after for reason in set(look.contested.values())),
+        withheld_after_s=missing[0] - start if missing else None,
+        back_after_s=back[0] - stop if back else None,
+        worst_sd=max(deviations(after, truck), default=None),
+        worst_share_of_mass=max((abs(m.mean / truck.mass - 1) for m in known), default=None),
+        contested_for=sorted({reason for look in after for reason in look.contested.values()}),
     )

@@ -1,14 +1,16 @@
 """A check: a command line, figures as data, and tables that are made of these figures alone.
 
-``python tools/check_NAME.py`` prints the tables. ``--json`` prints the figures with the program's version and the
-options, which hold the seed; ``--out`` writes the same to results/NAME.json. The same version, options and libraries
-give the same bytes. ``--read FILE`` makes the tables of figures that were written before.
+``python tools/check_NAME.py`` prints the tables as Markdown. ``--json`` prints the figures with the program's version
+and the options, which hold the seed; ``--out`` writes the same to results/NAME.json, of which `results_pages.py` makes
+a page. The same version, options and libraries give the same bytes. ``--read FILE`` makes the tables of figures that
+were written before.
 """
 
 import argparse
 import json
+import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -16,7 +18,6 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table as Printed
 
 from estimator import __version__
 from estimator.errors import InputError, RoadloadError
@@ -24,8 +25,7 @@ from estimator.output_files import whole
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "results"
-WIDE = 200  # columns, where the output is no terminal
-OWN = ("json", "markdown", "out", "read", "date")  # options of every check, which change no figure
+OWN = ("json", "out", "read", "date", "workers")  # options that change no figure
 Figures = dict[str, Any]
 Item = TypeVar("Item")
 
@@ -50,38 +50,65 @@ class Table:
         text = "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines)
         return f"## {self.title}\n\n{text}\n" if self.title else f"{text}\n"
 
-    def show(self, console: Console) -> None:
-        """Print it."""
-        printed = Printed(*self.columns, title=self.title or None)
-        for row in self.rows:
-            printed.add_row(*row)
-        console.print(printed)
 
+@dataclass(frozen=True)
+class Cells:
+    """The most important cells of a check: in ``columns`` of the rows whose first cell begins with one of ``rows``.
 
-def no_options(parser: argparse.ArgumentParser) -> None:
-    """A check without options of its own."""
+    All columns if none are named; ``table`` is the title of the table, else the first.
+    """
+
+    rows: tuple[str, ...] = ("",)
+    columns: tuple[str, ...] = ()
+    table: str = ""
+
+    def text(self, tables: Sequence[Table]) -> str:
+        """The cells with the names of their rows and columns."""
+        table = next((each for each in tables if not self.table or each.title == self.table), Table("", (), []))
+        lines = []
+        for name, *cells in table.rows:
+            named = zip(table.columns[1:], cells, strict=True)
+            chosen = [f"{column}: {cell}" for column, cell in named if column in (self.columns or table.columns)]
+            lines += [f"**{name}** {', '.join(chosen)}"] if name.startswith(self.rows) else []
+        return "; ".join(lines)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A check by its ``name``; ``about`` is the text of its help.
+    """A check; the module of ``measure`` gives its name and, by its docstring, its help and the text of its page.
 
-    ``measure`` takes the options to figures, ``tables`` shows figures, and ``fails`` says whether the exit status is 1.
+    ``measure`` takes the options to figures, ``tables`` shows figures, ``headline`` chooses the most important cells,
+    and ``fails`` says whether the exit status is 1. ``first``: arguments that the command begins with. ``part``: name
+    of a further check of a module.
     """
 
-    name: str
-    about: str
+    title: str
     measure: Callable[[argparse.Namespace], Figures]
     tables: Callable[[Figures], list[Table]]
-    options: Callable[[argparse.ArgumentParser], None] = no_options
+    headline: Cells
+    options: Callable[[argparse.ArgumentParser], None]
     fails: Callable[[Figures], bool] = lambda figures: False
+    first: str = ""
+    part: str = ""
+
+    @property
+    def about(self) -> str:
+        """What is measured, and how."""
+        return sys.modules[self.measure.__module__].__doc__ or ""
+
+    @property
+    def program(self) -> Path:
+        """The file that is run."""
+        return Path(sys.modules[self.measure.__module__].__file__ or "").resolve()
+
+    @property
+    def name(self) -> str:
+        """Name of the record: that of the module, and of the part."""
+        return "_".join(filter(None, (self.program.stem.removeprefix("check_"), self.part)))
 
     def main(self, arguments: list[str] | None = None) -> int:
         """Measure, or read what was measured; print and write the figures."""
-        parser = argparse.ArgumentParser(description=self.about, formatter_class=argparse.RawDescriptionHelpFormatter)
-        self.options(parser)
-        self._shared_options(parser)
-        options = parser.parse_args(arguments)
+        options = self.parser().parse_args(arguments)
         try:
             record = read_record(options.read) if options.read else self.record(options)
             text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -93,14 +120,7 @@ class Check:
             print(f"error: {error}", file=sys.stderr)
             return error.exit_status if isinstance(error, RoadloadError) else 2
         tables = self.tables(record["figures"])
-        if options.json:
-            print(text, end="")
-        elif options.markdown:
-            print("\n".join(table.markdown() for table in tables), end="")
-        else:
-            console = Console(width=None if sys.stdout.isatty() else WIDE, markup=False)
-            for table in tables:
-                table.show(console)
+        print(text if options.json else "\n".join(table.markdown() for table in tables), end="")
         return int(self.fails(record["figures"]))
 
     def record(self, options: argparse.Namespace) -> dict[str, Any]:
@@ -110,15 +130,27 @@ class Check:
         figures = self.measure(options)
         return {"check": self.name, "version": __version__, **dated, "options": chosen, "figures": plain(figures)}
 
-    def _shared_options(self, parser: argparse.ArgumentParser) -> None:
+    def command(self, options: dict[str, Any]) -> str:
+        """The command line that measures with the ``options`` of a record."""
+        parser, words = self.parser(), [self.program.relative_to(ROOT).as_posix(), *self.first.split()]
+        for name, value in options.items():
+            if value != parser.get_default(name):
+                values = value if isinstance(value, list) else [] if value is True else [value]
+                numbers = (f"{each:g}" if isinstance(each, float) else str(each) for each in values)
+                words += [f"--{name.replace('_', '-')}", *numbers]
+        return shlex.join(["python", *words])
+
+    def parser(self) -> argparse.ArgumentParser:
+        """Options of this check, and those of every check."""
+        parser = argparse.ArgumentParser(description=self.about, formatter_class=argparse.RawDescriptionHelpFormatter)
+        self.options(parser)
         place = RESULTS / f"{self.name}.json"
-        shown = parser.add_mutually_exclusive_group()
-        shown.add_argument("--json", action="store_true", help="print the figures")
-        shown.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
+        parser.add_argument("--json", action="store_true", help="print the figures")
         written = f"write the figures; without a name to {place.relative_to(ROOT)}"
         parser.add_argument("--out", type=Path, nargs="?", const=place, metavar="FILE", help=written)
         parser.add_argument("--read", type=Path, metavar="FILE", help="measure nothing: show these figures")
         parser.add_argument("--date", help="is written beside the figures")
+        return parser
 
 
 def read_record(path: Path) -> dict[str, Any]:

@@ -65,21 +65,27 @@ class World:
 
     def drive(self, minutes: float, rng: np.random.Generator) -> Recording:
         """The drive of a truck drawn at random, of ``minutes`` [min]."""
-        truck = draw_truck(rng)
-        route = generate_route(self.kind, minutes * METRES_PER_MINUTE, rng, self.slopes)
-        sensors = Sensors(
-            speed_noise=self.speed_noise,
-            torque_resolution=self.torque_steps,
-            torque_lag=self.lag,
-            altitude_noise=self.altimeter or 0.0,
-            without=without_road(self.altimeter),
-        )
-        return record(truck, route, minutes * 60, rng, sensors=sensors)
+        noise = {"speed_noise": self.speed_noise, "torque_resolution": self.torque_steps, "torque_lag": self.lag}
+        return drive(draw_truck(rng), self.kind, minutes, rng, self.slopes, showing(self.altimeter, **noise))
 
 
-def without_road(altimeter: float | None = None) -> frozenset[Role]:
-    """The signals that are not on the bus where an altimeter alone, or nothing, shows the road."""
-    return frozenset(OF_THE_ROAD - ({Role.ALTITUDE} if altimeter is not None else set()))
+def drive(
+    truck: Truck,
+    kind: RoadKind,
+    minutes: float,
+    rng: np.random.Generator,
+    slopes: float = 0.0,
+    sensors: Sensors | None = None,
+) -> Recording:
+    """A drive of ``minutes`` [min] over a road drawn at random, with slopes of a standard deviation [1]."""
+    route = generate_route(kind, minutes * METRES_PER_MINUTE, rng, slopes)
+    return record(truck, route, 60 * minutes, rng, sensors=sensors)
+
+
+def showing(altimeter: float | None = None, **noise: float) -> Sensors:
+    """Sensors of a bus on which an altimeter of that error [m] alone shows the road, or nothing."""
+    without = OF_THE_ROAD - ({Role.ALTITUDE} if altimeter is not None else set())
+    return Sensors(altitude_noise=altimeter or 0.0, without=frozenset(without), **noise)
 
 
 def hills(number: int, rng: np.random.Generator) -> World:
@@ -105,24 +111,15 @@ def estimates(frames: Frames, config: Config) -> list[Estimate]:
     return [*pipeline.feed(frames), *pipeline.finish()]
 
 
-@dataclass(frozen=True)
-class Reading:
-    """The rows of a drive, the last estimate from them, and the ``lag`` [s] of power that it found."""
-
-    rows: Rows
-    final: Estimate
-    lag: float
-
-
-def read(frames: Frames, config: Config) -> Reading:
-    """Decode, align and estimate."""
+def read(frames: Frames, config: Config) -> tuple[Rows, Estimate, float]:
+    """The rows of a drive, the last estimate from them, and the lag [s] of power that it found."""
     pipeline = Pipeline(config)
     items = [*pipeline.traffic.feed(frames), *pipeline.traffic.finish()]
     rows = Rows.concatenate(*(rows for item in items if isinstance(item, Block) for rows in item.rows))
     updates = [update for item in items for update in pipeline.take(item)]
     final = [*updates, *pipeline.finish()][-1]
     evidence = pipeline.estimator.evidence
-    return Reading(rows, final, 0.0 if evidence is None else evidence.lag)
+    return rows, final, 0.0 if evidence is None else evidence.lag
 
 
 def diagnosed(frames: Frames, folder: Path) -> tuple[Diagnosis, Drive]:

@@ -33,7 +33,7 @@ class Score:
         return cls(found.mean / truth - 1, found.sd / truth, found.q05 <= truth <= found.q95, width)
 
 
-def rms(errors: Sequence[float]) -> float:
+def rms(errors: Sequence[float] | Floats) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(errors))))
 
@@ -51,7 +51,7 @@ def summary(scores: Sequence[Score], limits: Sequence[float] = ()) -> dict[str, 
         "estimated": len(scores),
         **counts,
         "median": float(np.median(np.abs(error))),
-        "rms": rms(error.tolist()),
+        "rms": rms(error),
         "worst": float(np.abs(error).max()),
         "bias": float(error.mean()),
         "sd": float(np.mean([score.sd for score in scores])),

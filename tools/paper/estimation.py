@@ -8,7 +8,6 @@ import numpy as np
 from estimator.estimation.window import Grid
 from estimator.model.road_load import design, power
 from estimator.sampling.clipped import ClippedGaussianTarget
-from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
 from estimator.sampling.metropolis import REFRESH, random_walk
 from estimator.sampling.run import run
 from estimator.signals import Floats, Mask
@@ -149,13 +148,6 @@ def scheduled_walk(kept: Drive, first_refresh: int, seed: tuple[int, ...] = (0,)
         variance = np.maximum((residual**2).sum(axis=1) / (len(kept.P) - 3), POWER_RESOLUTION**2)
         parts.append(random_walk(_Reweighted(base, variance), position, 0, end - begin, rng).draws)
     return np.concatenate(parts[1:], axis=1)
-
-
-def scaled_metrics(kept: Drive, result: Estimate) -> EigenMetrics:
-    """Eigen-metrics of J' J / sigma^2 with every parameter in units of its posterior sd: free of units."""
-    J = design(kept.v, kept.a)
-    active = J[J @ result.mean > 0]
-    return eigen_metrics(active.T @ active / result.sigma**2, result.sd)
 
 
 @dataclass(frozen=True)

@@ -182,7 +182,6 @@ class HierarchicalFit:
     mu: Floats
     theta: Floats
     r_hat: float
-    ess: float
 
 
 def fit(cycles: Sequence[CycleRuns], prior: Prior, rng: np.random.Generator) -> HierarchicalFit:
@@ -203,7 +202,6 @@ def fit(cycles: Sequence[CycleRuns], prior: Prior, rng: np.random.Generator) -> 
         mu=mu,
         theta=theta,
         r_hat=max(diagnosis.r_hat for diagnosis in result.diagnoses),
-        ess=min(diagnosis.ess_bulk for diagnosis in result.diagnoses),
     )
 
 

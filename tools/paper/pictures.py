@@ -18,9 +18,9 @@ from estimator.model.road_load import power
 from estimator.signals import Floats
 from paper.cycles import Cycle
 from paper.estimation import BURN_IN, GRID, Availability, Drive, Estimate
+from paper.hierarchy import HierarchicalFit
 from paper.printed import PRINTED
 from paper.studies import NOISE_LEVELS, CoverageStudy, DurationStudy, NoiseStudy
-from paper.vehicle_posterior import VehiclePosterior
 from paper.vehicles import DUMMY, HP, NAMES, NOMINAL, PAPER_UNITS, SI_UNITS, TO_SI
 
 COLOURS = ("#3b6ea5", "#d08a2e", "#4b8b57")
@@ -47,6 +47,12 @@ def _panels(columns: int, height: float, **options: Any) -> tuple[Figure, list[A
     plt.rcParams.update(STYLE)
     figure, axes = plt.subplots(1, columns, figsize=(WIDTH, height), **options)
     return figure, list(np.atleast_1d(axes))
+
+
+def _label(ax: Axes, parameter: int, quantity: str, ticks: tuple[float, ...]) -> None:
+    ax.set(title=LABELS[parameter], xlabel=quantity)
+    ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    ax.minorticks_off()
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -118,9 +124,7 @@ def coverage_error(studies: dict[str, CoverageStudy], path: Path) -> None:
             ax.loglog(100 * study.coverage, error, "o", ms=3.2, mew=0, alpha=0.35, color=colour)
             medians = [(100 * np.median(study.coverage[part]), np.median(error[part])) for part in thirds]
             ax.loglog(*np.transpose(medians), color=colour, lw=1.4, marker="s", ms=4, label=name)
-            ax.set(title=LABELS[i], xlabel="coverage [%]")
-            ax.set_xticks([1, 3, 10, 30], ["1", "3", "10", "30"])
-            ax.minorticks_off()
+            _label(ax, i, "coverage [%]", (1, 3, 10, 30))
     axes[0].set_ylabel("absolute error [%]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     _save(figure, path)
@@ -135,9 +139,7 @@ def noise_error(studies: dict[str, NoiseStudy], path: Path) -> None:
             ax.loglog(level, 100 * study.rms_errors[:, i], color=colour, marker="o", ms=3.5, lw=1.1, label=rule)
         reference = 100 * next(iter(studies.values())).rms_errors[0, i]
         ax.loglog(level, reference * level / level[0], color=TRUTH, lw=0.8, ls="--", label="in proportion")
-        ax.set_xticks([0.5, 2, 10, 40], ["0.5", "2", "10", "40"])
-        ax.minorticks_off()
-        ax.set(title=LABELS[i], xlabel="power noise, sd [hp]")
+        _label(ax, i, "power noise, sd [hp]", (0.5, 2, 10, 40))
     axes[0].set_ylabel("rms error [%]")
     axes[0].legend(loc="upper left", fontsize=8.5)
     _save(figure, path)
@@ -151,15 +153,13 @@ def duration_error(studies: dict[str, DurationStudy], path: Path) -> None:
             error = 100 * study.errors[:, i]
             ax.loglog(study.seconds, error, color=colour, marker="o", ms=3, lw=1.2, label=name)
             ax.loglog(study.seconds[study.whole], error[study.whole], "o", ms=8, mfc="none", mec=colour)
-        ax.set_xticks([60, 300, 1500, 7500], ["60", "300", "1500", "7500"])
-        ax.minorticks_off()
-        ax.set(title=LABELS[i], xlabel="duration [s]")
+        _label(ax, i, "duration [s]", (60, 300, 1500, 7500))
     axes[0].set_ylabel("rms error [%]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     _save(figure, path)
 
 
-def hierarchical_fit(posterior: VehiclePosterior, names: list[str], path: Path) -> None:
+def hierarchical_fit(posterior: HierarchicalFit, names: list[str], path: Path) -> None:
     """Printed runs (dots), 90 % intervals of their cycle, and of the vehicle; dashed is the nominal value."""
     figure, axes = _panels(3, 2.6, sharey=True)
     for i, ax in enumerate(axes):
@@ -167,8 +167,8 @@ def hierarchical_fit(posterior: VehiclePosterior, names: list[str], path: Path) 
         for row, (name, colour) in enumerate(zip(names, COLOURS, strict=True)):
             runs = PRINTED[name].estimates[:, i]
             ax.plot(runs, np.full(len(runs), row - 0.22), "o", ms=3.5, mew=0, alpha=0.5, color=colour)
-            _bar(ax, posterior.by_cycle[:, row, i], row, colour)
-        _bar(ax, posterior.vehicle[:, i], len(names), TRUTH)
+            _bar(ax, posterior.theta[:, row, i], row, colour)
+        _bar(ax, posterior.mu[:, i], len(names), TRUTH)
         ax.set(title=LABELS[i], xlabel=f"{NAMES[i]} [{PAPER_UNITS[i]}]")
         ax.set_yticks(range(len(names) + 1), [*names, "vehicle"])
     axes[0].invert_yaxis()

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from estimator.model.road_load import power
-from estimator.sampling.identifiability import EigenMetrics
 from estimator.signals import Floats
 from paper.cycles import Cycle
 from paper.estimation import Availability, Estimate
-from paper.experiments import DummyCase, Levene, Scatter, ScheduleEffect, TraceFit, means, truth_of
+from paper.experiments import means, truth_of
+from paper.hierarchy import HierarchicalFit
 from paper.printed import PRINTED
 from paper.studies import COPIES, NOISE_LEVELS, CoverageStudy, DurationStudy, NoiseStudy
-from paper.table_five import Match, Processing, ScatterDirection, Units
-from paper.vehicle_posterior import BETWEEN_PRIORS, VehiclePosterior, offset_response
+from paper.table_five import Match, Processing, Units, angle
+from paper.vehicle_posterior import BETWEEN_PRIORS, CRUISE, offset_response
 from paper.vehicles import DUMMY, HP, NAMES, NOMINAL, PAPER_UNITS, TO_SI
 
 PARAMETERS = [f"{name} [{unit}]" for name, unit in zip(NAMES, PAPER_UNITS, strict=True)]
@@ -60,18 +60,17 @@ def cycles(given: Mapping[str, Cycle], reach: Availability) -> list[Record]:
     ]
 
 
-def dummy(cases: Sequence[DummyCase]) -> list[Record]:
+def dummy(cases: Mapping[str, list[tuple[Floats, Floats]]]) -> list[Record]:
     """The dummy case without noise: estimates, and the largest errors of two schedules."""
     rows = []
-    for case in cases:
-        off = [float(np.abs(mean / DUMMY - 1).max()) for mean, _ in (case.refreshed, case.frozen)]
+    for name, ((mean, _), (frozen_mean, frozen_sd)) in cases.items():
         rows.append(
             {
-                "cycle": case.cycle,
-                **parameters(case.refreshed[0] / TO_SI),
-                "largest error": off[0],
-                "sigma frozen to iteration 5000": off[1],
-                "its largest sd": float((case.frozen[1] / DUMMY).max()),
+                "cycle": name,
+                **parameters(mean / TO_SI),
+                "largest error": float(np.abs(mean / DUMMY - 1).max()),
+                "sigma frozen to iteration 5000": float(np.abs(frozen_mean / DUMMY - 1).max()),
+                "its largest sd": float((frozen_sd / DUMMY).max()),
             }
         )
     return rows
@@ -110,27 +109,20 @@ def chains(runs: Mapping[str, Sequence[Estimate]]) -> list[Record]:
     ]
 
 
-def scatter(given: Mapping[str, Scatter]) -> list[Record]:
+def scatter(given: Mapping[str, Mapping[str, Floats]]) -> list[Record]:
     """Sd between runs beside what white noise of the printed rms gives."""
-    labels = {
-        "printed": "printed runs, sd",
-        "white": "white noise of the printed rms, by Table 5",
-        "posterior": "simulated runs, mean posterior sd",
-        "simulated": "simulated runs, sd",
-        "p": "p of the printed sd, if white noise",
-    }
-    rows = [(name, key, getattr(s, key)) for name, s in given.items() for key in labels]
-    return [{"cycle": name, "spread": labels[key], **parameters(values)} for name, key, values in rows]
+    rows = [(name, label, values) for name, spreads in given.items() for label, values in spreads.items()]
+    return [{"cycle": name, "spread": label, **parameters(values)} for name, label, values in rows]
 
 
-def levene(printed: Sequence[Levene], here: Sequence[Levene]) -> list[Record]:
+def levene(printed: Sequence[tuple[float, float]], here: Sequence[tuple[float, float]]) -> list[Record]:
     """Levene's test between cycles: W, and p."""
     rows = {"printed runs": printed, "simulated runs": here}
     return [
         {
             "runs": label,
-            **{f"W of {name}": test.statistic for name, test in zip(NAMES, tests, strict=True)},
-            **{f"p of {name}": test.p for name, test in zip(NAMES, tests, strict=True)},
+            **{f"W of {name}": statistic for name, (statistic, _) in zip(NAMES, tests, strict=True)},
+            **{f"p of {name}": p for name, (_, p) in zip(NAMES, tests, strict=True)},
         }
         for label, tests in rows.items()
     ]
@@ -195,72 +187,48 @@ def column_order(best: Match, names: Sequence[str]) -> list[Record]:
     """Which parameters the printed angles and eigenvalues belong to, and the direction of the scatter between runs."""
     rows = []
     for name, order in zip(names, best.nearest, strict=True):
-        p, direction = PRINTED[name], ScatterDirection.of(PRINTED[name])
+        p = PRINTED[name]
+        A, C, m = p.estimates.T
         rows.append(
             {
                 "cycle": name,
                 "printed under A and C [°]": float(p.angles[0]),
-                "scatter from A towards m [°]": list(direction.mass),
+                "scatter from A towards m [°]": list(angle(A, m)),
                 "printed under m [°]": float(p.angles[2]),
-                "scatter from A towards C [°]": list(direction.drag),
+                "scatter from A towards C [°]": list(angle(A, C)),
                 "eigenvectors near": " / ".join(NAMES[i] for i in order),
             }
         )
     return rows
 
 
-def scaled(given: Mapping[str, EigenMetrics]) -> list[Record]:
-    """Eigen-metrics with parameters in units of their posterior sd, and the share of each in a direction."""
-    return [
-        {
-            "cycle": name,
-            "log10 eigenvalue": float(value),
-            **dict(zip(NAMES, np.cos(np.radians(angles)) ** 2, strict=True)),
-        }
-        for name, metrics in given.items()
-        for value, angles in zip(metrics.log10_eigenvalues, metrics.angles, strict=True)
-    ]
-
-
-def vehicle(posteriors: Mapping[float, VehiclePosterior], names: Sequence[str]) -> list[Record]:
+def vehicle(posteriors: Mapping[float, HierarchicalFit], names: Sequence[str]) -> list[Record]:
     """The hierarchical fit: mean and sd of the vehicle's μ and of the θ of each cycle, by the prior of β."""
     chosen = posteriors[BETWEEN_PRIORS[0]]
     rows = [
-        {"parameters of": f"vehicle, β of {100 * scale:g} %", **parameters(p.vehicle.mean(0), p.vehicle.std(0))}
+        {"parameters of": f"vehicle, β of {100 * scale:g} %", **parameters(p.mu.mean(0), p.mu.std(0))}
         for scale, p in posteriors.items()
     ]
-    by_cycle = [(name, chosen.by_cycle[:, i]) for i, name in enumerate(names)]
+    by_cycle = [(name, chosen.theta[:, i]) for i, name in enumerate(names)]
     return rows + [{"parameters of": name, **parameters(draws.mean(0), draws.std(0))} for name, draws in by_cycle]
 
 
-def between_runs(chosen: VehiclePosterior, given: Mapping[str, Cycle]) -> list[Record]:
+def between_runs(chosen: HierarchicalFit, given: Mapping[str, Cycle]) -> list[Record]:
     """Spread between the runs of a cycle: κ, and the change of the estimates for 1 hp too much power."""
     return [
-        {"cycle": name, "κ": interval(chosen.noise_scale[:, i]), **parameters(offset_response(cycle))}
+        {"cycle": name, "κ": interval(chosen.kappa[:, i]), **parameters(offset_response(cycle))}
         for i, (name, cycle) in enumerate(given.items())
     ]
 
 
-def hyperparameters(chosen: VehiclePosterior) -> list[Record]:
+def hyperparameters(chosen: HierarchicalFit) -> list[Record]:
     """τ, β, and the total resistance at cruising speed."""
-    spread = {f"β of {name}": interval(chosen.between[:, i]) for i, name in enumerate(PARAMETERS)}
-    rows = {"τ [hp]": interval(chosen.offset), **spread, "A + C v² at 55 mph [lbf]": interval(chosen.cruise_force)}
+    spread = {f"β of {name}": interval(chosen.beta[:, i]) for i, name in enumerate(PARAMETERS)}
+    cruise = interval(chosen.mu @ [1.0, CRUISE**2, 0.0])
+    rows = {"τ [hp]": interval(chosen.tau), **spread, "A + C v² at 55 mph [lbf]": cruise}
     return [{"hyperparameter": name, "90 % interval": found} for name, found in rows.items()] + [
         {"hyperparameter": "largest R-hat", "90 % interval": chosen.r_hat}
     ]
-
-
-def schedules(effects: Sequence[ScheduleEffect]) -> list[Record]:
-    """Figure 1: kept sd of the mass over that with sigma fixed, by the first refresh."""
-    return [
-        {"noise [hp]": e.noise / HP, "first refresh": e.schedule, "median ratio": e.median, "largest": e.largest}
-        for e in effects
-    ]
-
-
-def trace(fit: TraceFit) -> list[Record]:
-    """Figure 2: rms of the residual of a run on HWFET."""
-    return [{"best fit [hp]": fit.best / HP, "nominal [hp]": fit.nominal / HP}]
 
 
 def coverage(studies: Mapping[str, CoverageStudy]) -> list[Record]:

@@ -179,24 +179,8 @@ def printed_information(cycle: PrintedCycle) -> Floats:
     return information
 
 
-@dataclass(frozen=True)
-class ScatterDirection:
-    """Directions in which the printed estimates of a cycle scatter between runs: angles [deg] and their sd.
-
-    ``mass`` from the axis of A towards m, ``drag`` towards C, by regression of m and of C on A.
-    """
-
-    mass: tuple[float, float]
-    drag: tuple[float, float]
-
-    @classmethod
-    def of(cls, cycle: PrintedCycle) -> "ScatterDirection":
-        """Directions over the runs of ``cycle``."""
-        A, C, m = cycle.estimates.T
-        return cls(_angle(A, m), _angle(A, C))
-
-
-def _angle(x: Floats, y: Floats) -> tuple[float, float]:
+def angle(x: Floats, y: Floats) -> tuple[float, float]:
+    """Angle from the axis of ``x`` (n,) towards that of ``y`` (n,) by regression [deg], and its standard deviation."""
     x, y = x - x.mean(), y - y.mean()
     slope = x @ y / (x @ x)
     sd = np.sqrt(((y - slope * x) ** 2).sum() / (len(x) - 2) / (x @ x))

@@ -1,6 +1,6 @@
 """The hierarchical model on the printed runs: posterior of the vehicle's parameters in the paper's units."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,42 +17,6 @@ OFFSET_PRIOR = 1.0  # hp, scale of tau
 BETWEEN_PRIORS = (0.05, 0.025, 0.1)  # scales of beta, shares of the nominal value; the first is the one reported
 SEED = 20
 CRUISE = 55.0  # mph, of the total resistance A + C v^2
-
-
-@dataclass(frozen=True, kw_only=True)
-class VehiclePosterior:
-    """Posterior draws in the paper's units.
-
-    ``noise_scale`` (n, cycles): kappa. ``offset`` (n,): tau [hp]. ``between`` (n, 3): beta. ``vehicle`` (n, 3): mu.
-    ``by_cycle`` (n, cycles, 3): theta. ``r_hat`` and ``ess`` are of the hyperparameters.
-    """
-
-    noise_scale: Floats
-    offset: Floats
-    between: Floats
-    vehicle: Floats
-    by_cycle: Floats
-    r_hat: float
-    ess: float
-
-    @classmethod
-    def of(cls, sampled: HierarchicalFit) -> "VehiclePosterior":
-        """Take the draws to the paper's units."""
-        return cls(
-            noise_scale=sampled.kappa,
-            offset=sampled.tau,
-            between=sampled.beta * UNIT,
-            vehicle=sampled.mu * UNIT,
-            by_cycle=sampled.theta * UNIT,
-            r_hat=sampled.r_hat,
-            ess=sampled.ess,
-        )
-
-    @property
-    def cruise_force(self) -> Floats:
-        """Draws (n,) of A + C v^2 [lbf] at CRUISE."""
-        force: Floats = self.vehicle @ [1.0, CRUISE**2, 0.0]
-        return force
 
 
 def offset_response(cycle: Cycle) -> Floats:
@@ -76,12 +40,13 @@ def printed_runs(cycles: dict[str, Cycle]) -> list[CycleRuns]:
     ]
 
 
-def vehicle_posterior(cycles: dict[str, Cycle], scale: float) -> VehiclePosterior:
-    """Posterior for a prior of beta with ``scale``, a share of the nominal values."""
+def vehicle_posterior(cycles: dict[str, Cycle], scale: float) -> HierarchicalFit:
+    """Posterior in the paper's units for a prior of beta with ``scale``, a share of the nominal values; tau in hp."""
     prior = Prior(tau=OFFSET_PRIOR, beta=np.full(3, scale))
-    return VehiclePosterior.of(fit(printed_runs(cycles), prior, np.random.default_rng(SEED)))
+    found = fit(printed_runs(cycles), prior, np.random.default_rng(SEED))
+    return replace(found, beta=found.beta * UNIT, mu=found.mu * UNIT, theta=found.theta * UNIT)
 
 
-def vehicle_posteriors(cycles: dict[str, Cycle]) -> dict[float, VehiclePosterior]:
+def vehicle_posteriors(cycles: dict[str, Cycle]) -> dict[float, HierarchicalFit]:
     """Posterior for each of BETWEEN_PRIORS."""
     return {scale: vehicle_posterior(cycles, scale) for scale in BETWEEN_PRIORS}

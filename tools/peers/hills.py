@@ -19,19 +19,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 from scipy.signal import butter, lfilter
 
 from estimator.samples import STEP
 from estimator.signals import Floats
 from estimator.units import STANDARD_GRAVITY
-from peers.level import FORCE_NOISE, MIN_STATE, START, START_SD, Normal, Stretch, pass_all, regression
+from peers.level import FORCE_NOISE, MIN_STATE, START, START_SD, Normal, SpeedFilter, Stretch, pass_all, regression
 
 SLOPE_SD = 0.02  # of the slope's sine at the start
 SLOPE_TIME = 30.0  # s in which the slope of the filter returns to zero
 INVERSE_MASS_SD = 3e-5  # 1/kg, at the start
 MIN_INVERSE_MASS, MIN_MASS = 1e-6, 1e3  # 1/kg, kg
-MEASURED = np.array([[1.0, 0.0, 0.0]])  # of the states v, m, theta
 
 
 @dataclass(frozen=True)
@@ -103,14 +101,12 @@ def _recursion(
             yield t, theta, spread, float(innovation**2 / (1 + share.sum()))
 
 
-class SlopeFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
-    """Extended Kalman filter of the states v [m/s], m [kg] and the sine of the slope [1]; input: power [W]."""
+class SlopeFilter(SpeedFilter):
+    """Filter of the states v [m/s], m [kg] and the sine of the slope [1]; input: power [W]."""
 
     def __init__(self, settings: SlopeNoise, known: Known) -> None:
-        super().__init__(dim_x=3, dim_z=1)
-        self.x = np.array([0.0, START[2], 0.0])
-        self.P = np.diag([0.0, START_SD[2] ** 2, SLOPE_SD**2])
-        self.R = np.array([[settings.speed**2]])
+        start, sd = np.array([0.0, START[2], 0.0]), np.array([0.0, START_SD[2], SLOPE_SD])
+        super().__init__(start, sd, np.array([MIN_STATE[0], MIN_MASS, -np.inf]), settings.speed)
         self._known, self._power_noise = known, settings.power
         self._keep = float(np.exp(-STEP / SLOPE_TIME))
         self._slope_noise = settings.slope**2 * (1 - self._keep**2)
@@ -131,11 +127,6 @@ class SlopeFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has n
         self.F[2, 2] = self._keep
         self.Q = np.diag([(self._power_noise * STEP / (m * v)) ** 2, 0.0, self._slope_noise])
         self.x = np.array([v + STEP * (driving / m - STANDARD_GRAVITY * slope), m, self._keep * slope])
-
-    def see(self, speed: float) -> None:
-        """Take a measured ``speed`` [m/s]; speed and mass are kept above the lowest that the filter survives."""
-        self.update(np.array([speed]), lambda x: MEASURED, lambda x: x[:1])
-        self.x[:2] = np.maximum(self.x[:2], [MIN_STATE[0], MIN_MASS])
 
 
 def kalman_with_slope(data: Sequence[Stretch], settings: SlopeNoise, known: Known) -> Normal:

@@ -32,7 +32,6 @@ from estimator.signals import Floats
 START = np.array([1800.0, 4.0, 25e3])  # N, N s^2/m^2, kg: initial values for any class-8 truck
 START_SD = np.array([1000.0, 2.0, 10e3])  # N, N s^2/m^2, kg
 MIN_STATE = np.array([0.1, *START / 20])  # lowest v, A, C, m of the filter, which diverges below
-MEASURED = np.array([[1.0, 0.0, 0.0, 0.0]])  # of the states v, A, C, m
 HOUR = 3600.0  # s
 MIN_ROWS = 20  # rows: stretches of less than 2 s are left out
 FORCE_NOISE = 300.0  # N, weighs the start of the recursion against data
@@ -125,14 +124,29 @@ def recursive_least_squares(data: Sequence[Stretch], settings: Forgetting) -> di
     return _by_name(theta, np.sqrt(squares / max(count - 3, 1) * np.diag(P)))
 
 
-class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
-    """Extended Kalman filter of the states v [m/s], A [N], C [N s^2/m^2], m [kg]; input: power [W]."""
+class SpeedFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
+    """Extended Kalman filter of a speed [m/s], which is measured with a ``noise`` [m/s], and other states.
+
+    They begin at ``start`` (n,) with standard deviations ``sd`` (n,), and are kept above ``lowest`` (n,).
+    """
+
+    def __init__(self, start: Floats, sd: Floats, lowest: Floats, noise: float) -> None:
+        super().__init__(dim_x=len(start), dim_z=1)
+        self.x, self.P, self.R = start, np.diag(sd**2), np.array([[noise**2]])
+        self._lowest = lowest
+
+    def see(self, speed: float) -> None:
+        """Take a measured ``speed`` [m/s]."""
+        self.update(np.array([speed]), lambda x: np.eye(1, len(x)), lambda x: x[:1])
+        self.x = np.maximum(self.x, self._lowest)
+
+
+class RoadLoadFilter(SpeedFilter):
+    """Filter of the states v [m/s], A [N], C [N s^2/m^2], m [kg]; input: power [W]."""
 
     def __init__(self, settings: ProcessNoise) -> None:
-        super().__init__(dim_x=4, dim_z=1)
-        self.x = np.concatenate([[0.0], START])
-        self.P = np.diag(np.concatenate([[0.0], START_SD**2]))
-        self.R = np.array([[settings.speed**2]])
+        start, sd = (np.concatenate([[0.0], x]) for x in (START, START_SD))
+        super().__init__(start, sd, MIN_STATE, settings.speed)
         self._power_noise = settings.power
         self._walk = (settings.walk * START) ** 2 * STEP / HOUR
 
@@ -151,11 +165,6 @@ class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ha
         self.F[0] += STEP / m * np.array([-u / v**2 - 2 * C * v, -1.0, -(v**2), -a])
         self.Q = np.diag(np.concatenate([[(self._power_noise * STEP / (m * v)) ** 2], self._walk]))
         self.x = np.array([start + STEP * a, A, C, m])
-
-    def see(self, speed: float) -> None:
-        """Take a measured ``speed`` [m/s]; states are kept above MIN_STATE."""
-        self.update(np.array([speed]), lambda x: MEASURED, lambda x: x[:1])
-        self.x = np.maximum(self.x, MIN_STATE)
 
 
 def extended_kalman(data: Sequence[Stretch], settings: ProcessNoise) -> dict[str, Normal]:
