@@ -210,7 +210,7 @@ CHECK = Check(
     measure=measure,
     tables=tables,
     headline=Cells(
-        rows=(f"{ROADLOAD}, 500 kbit/s, all",), columns=("s", "CPU [%]", "peak MiB", "p99 ms", "max ms", "sent", "lost")
+        rows=(f"{ROADLOAD}, 500 kbit/s, all",), columns=("s", "CPU [%]", "peak MiB", "p99 ms", "sent", "lost")
     ),
     options=add_options,
 )

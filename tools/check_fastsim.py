@@ -100,7 +100,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 CHECK = Check(
-    title="Drives of NREL's fastsim", measure=measure, tables=tables, headline=Cells(rows=()), options=add_options
+    title="Drives of NREL's fastsim",
+    measure=measure,
+    tables=tables,
+    headline=Cells(columns=("grade", "named")),
+    options=add_options,
 )
 
 if __name__ == "__main__":

@@ -75,12 +75,13 @@ def shown(table: Table) -> str:
 
 
 def overview(names: list[str], folder: Path) -> str:
-    """The most important figures of records, with links from a page in ``folder``."""
+    """The most important figures of records that have some, with links from a page in ``folder``."""
     rows = []
     for name in records() if names == ["all"] else names:
         record = read_record(RESULTS / f"{name}.json")
         check, link = checks()[record["check"]], Path(relpath(PAGES / f"{name}.md", folder)).as_posix()
-        rows.append([f"[{title(name, record)}]({link})", check.headline.text(check.tables(record["figures"]))])
+        figures = check.headline.text(check.tables(record["figures"]))
+        rows += [[f"[{title(name, record)}]({link})", figures]] if figures else []
     return f"\n{Table('', ('what', 'result'), rows).markdown()}\n"
 
 

@@ -68,7 +68,8 @@ class Cells:
         lines = []
         for name, *cells in table.rows:
             named = zip(table.columns[1:], cells, strict=True)
-            chosen = [f"{column}: {cell}" for column, cell in named if column in (self.columns or table.columns)]
+            shown = [(column, cell) for column, cell in named if column in (self.columns or table.columns)]
+            chosen = [cell if column == "value" else f"{column} {cell}" for column, cell in shown]
             lines += [f"**{name}** {', '.join(chosen)}"] if name.startswith(self.rows) else []
         return "; ".join(lines)
 
