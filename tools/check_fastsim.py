@@ -99,13 +99,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1)
 
 
-CHECK = Check(
-    title="Drives of NREL's fastsim",
-    measure=measure,
-    tables=tables,
-    headline=Cells(columns=("grade", "named")),
-    options=add_options,
-)
+NAMED = Cells(columns=("grade", "named"))
+CHECK = Check(title="Drives of NREL's fastsim", measure=measure, tables=tables, headline=NAMED, options=add_options)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())
