@@ -139,9 +139,9 @@ def wait_until_bound(port: int, subject: subprocess.Popen[bytes], folder: Path) 
 
 def loads(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Cells of each load and program."""
-    runs = [(kbits, filtered, options.seconds) for kbits in traffic.BUS_LOAD for filtered in (True, False)]
+    runs = {(kbits, filtered): options.seconds for kbits in traffic.BUS_LOAD for filtered in (True, False)}
     rows = []
-    for kbits, filtered, seconds in [*runs, (500, False, options.loss_seconds)]:
+    for (kbits, filtered), seconds in (runs | {(500, False): options.loss_seconds or options.seconds}).items():
         if not seconds:
             continue
         found = {

@@ -93,10 +93,10 @@ class Search:
         return self._round(self._drives, FIRST_SIZE, with_processes=False, with_stretches=False)
 
     @property
-    def first_effects(self) -> _Fit:
+    def first_effects(self) -> tuple[float, tuple[DriveState, ...]]:
         """Gain in log posterior by the most probable effects of the first round, and the drives fitted with them."""
-        gain, states = self._first_round.as_fitted
-        return gain - log_evidence(self._drives), states
+        log_posterior, states = self._first_round.as_fitted
+        return log_posterior - log_evidence(self._drives), states
 
     @cached_property
     def effects_only(self) -> tuple[DriveState, ...]:

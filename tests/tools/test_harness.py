@@ -120,9 +120,9 @@ def test_the_command_of_a_record_gives_its_options() -> None:
 
 def test_the_most_important_cells_have_the_names_of_their_rows_and_columns() -> None:
     made = [Table("", ("", "mean", "sd"), [["a", "1", "2"], ["ab", "3", "4"], ["b", "5", "6"]]), Table("x", (), [])]
-    assert CHECK.headline.text(made) == "**a** mean 1; **ab** mean 3"
-    assert Cells().text(made) == "**a** mean 1, sd 2; **ab** mean 3, sd 4; **b** mean 5, sd 6"
-    assert Cells().text([Table("", ("", "value"), [["a", "1"]])]) == "**a** 1"
+    assert CHECK.headline.text(made) == "**a**: mean 1; **ab**: mean 3"
+    assert Cells().text(made) == "**a**: mean 1, sd 2; **ab**: mean 3, sd 4; **b**: mean 5, sd 6"
+    assert Cells().text([Table("", ("", "value"), [["a", "1"]])]) == "**a**: 1"
     assert Cells(rows=()).text(made) == Cells(table="x").text(made) == Cells(table="none").text(made) == ""
 
 

@@ -70,7 +70,7 @@ class Cells:
             named = zip(table.columns[1:], cells, strict=True)
             shown = [(column, cell) for column, cell in named if column in (self.columns or table.columns)]
             chosen = [cell if column == "value" else f"{column} {cell}" for column, cell in shown]
-            lines += [f"**{name}** {', '.join(chosen)}"] if name.startswith(self.rows) else []
+            lines += [f"**{name}**: {', '.join(chosen)}"] if name.startswith(self.rows) else []
         return "; ".join(lines)
 
 
