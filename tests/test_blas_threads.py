@@ -43,6 +43,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work", [estimate_logs, replay, diagnose_logs])
 def test_a_log_is_worked_through_with_one_blas_thread(work, log: Path) -> None:
     seen: set[int] = set()

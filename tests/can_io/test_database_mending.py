@@ -265,6 +265,7 @@ def test_anything_behind_a_message_leaves_it_readable(text: str) -> None:
     assert " SG_ Speed : 0|16@1+ (0.01,0) [0|300]" in mended.text
 
 
+@pytest.mark.slow
 @given(st.text(min_size=1))
 def test_mended_names_are_names(name: str) -> None:
     mended = mended_name(name)

@@ -242,6 +242,7 @@ def test_j1939_values_that_are_none_stay_so_when_matched_by_whole_id() -> None:
 # --- J1939 --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(st.integers(0, 7), st.integers(0, 255), st.integers(0, 255))
 @settings(max_examples=50, deadline=None, derandomize=True)
 def test_matched_by_pgn_whatever_priority_source_and_destination(priority: int, source: int, low: int) -> None:

@@ -15,6 +15,7 @@ CORPUS = TESTS / "fuzz_corpus"
 NAMES = [pytest.param(name, marks=[pytest.mark.slow] if kind.cost > 1 else []) for name, kind in FORMATS.items()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_kept_file_is_read_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
     kept = sorted((CORPUS / name).iterdir())

@@ -91,6 +91,7 @@ def test_a_blf_object_that_never_ends(refused: Refused, tmp_path: Path) -> None:
     assert "ends too early" in refused("estimate", tmp_path / "a.blf")
 
 
+@pytest.mark.slow
 def test_blf_containers_that_unpack_to_a_thousand_times_their_size(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "a.blf").write_bytes(blf_of(containers=[container(bytes(128 << 20))]))
     assert "damaged or cut at byte 144" in refused("estimate", tmp_path / "a.blf")
@@ -123,6 +124,7 @@ def test_a_flood_of_blank_lines(refused: Refused, tmp_path: Path, suffix: str) -
     assert path.name in refused("estimate", path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc", ".blf", ".mf4", ".log.gz", ".txt"])
 def test_a_device_without_end(refused: Refused, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
@@ -136,6 +138,7 @@ def test_a_payload_cut_in_the_middle_of_its_padding(refused: Refused, tmp_path: 
     assert "a.csv:2: this line cannot be read (Incorrect padding)" in refused("estimate", tmp_path / "a.csv")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".log", ".blf"])
 def test_a_log_of_more_channels_than_any_logger_has(refused: Refused, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
@@ -181,6 +184,7 @@ def test_a_signal_of_absurd_size(refused: Refused, tmp_path: Path, layout: str) 
 MULTIPLEXED = ' SG_ S{0} m{0} : 16|8@1+ (1,0) [0|0] "" X\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "said"),
     [
@@ -256,6 +260,7 @@ def test_a_device_for_a_database_or_settings(refused: Refused, tmp_path: Path, n
     assert f"{name}: is larger than 1 MiB" in refused("estimate", plain(tmp_path), "--config", name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [

@@ -363,6 +363,7 @@ def test_nothing_is_answered_before_the_address_stands():
     assert node.hear(request(0xFF61, destination=0xFB), 0.1) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("attack", "limit"),
     [
@@ -462,6 +463,7 @@ class Network:
                     heapq.heappush(self.events, (at, next(self.order), target, received))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(
     st.lists(st.tuples(st.sampled_from([0xFB, 128, 129, 247]), st.booleans()), min_size=2, max_size=5),

@@ -103,6 +103,7 @@ def test_a_log_can_be_iterated_twice_and_left_half_way(tmp_path: Path) -> None:
     assert log.skipped == {"error frame": 1}
 
 
+@pytest.mark.slow
 def test_batches_are_bounded_and_in_order(tmp_path: Path) -> None:
     lines = (f"({i // 1000}.{i % 1000:03d}) can0 123#{i:08X}\n" for i in range(2 * BATCH + 5))
     (tmp_path / "a.log").write_text("".join(lines))
@@ -295,6 +296,7 @@ TRC_LINES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", TRC_HEADS)
 @pytest.mark.parametrize("last", [0, 1], ids=["data", "remote"])
 @pytest.mark.parametrize("end", ["", "\n", "\r\n"])

@@ -213,6 +213,7 @@ def refuse(path: Path) -> tuple[int, str]:
     pytest.fail("no LogError")
 
 
+@pytest.mark.slow
 def test_cut_anywhere(tmp_path: Path) -> None:
     path = tmp_path / "cut.blf"
     raw = written(path, 60, 700)

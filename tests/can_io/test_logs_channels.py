@@ -81,6 +81,7 @@ def payloads(log: Log) -> list[bytes]:
     return [bytes(row[:n]) for row, n in zip(frames.data, frames.length, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("name", NAMES)
 def test_one_channel_is_chosen_by_its_name(tmp_path: Path, name: str, shared: bool) -> None:
@@ -114,6 +115,7 @@ def test_an_id_on_two_channels_is_refused_with_the_names_and_counts(tmp_path: Pa
         assert f"{chosen} ({sum(m.channel == channel for m in messages)} frames)" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_channel_that_is_not_there_is_refused(tmp_path: Path, name: str) -> None:
     path = written(tmp_path, name, two_buses(shared=False))

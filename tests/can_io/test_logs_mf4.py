@@ -269,6 +269,7 @@ def test_damage_is_read_or_refused(tmp_path: Path, style: Style) -> None:
     assert_read_or_refused(tmp_path / "a.mf4", mdf(WHOLE, style), np.random.default_rng(3), rounds=150)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [b"##HD", b"##DG", b"##CG", b"##CN", b"##DL", b"##DT"])
 @pytest.mark.parametrize("value", [0, 23, 2**40, 2**64 - 1])
 @pytest.mark.parametrize("field", [8, 16, 24, 32])

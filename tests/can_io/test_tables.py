@@ -218,6 +218,7 @@ def test_a_column_of_several_values_a_row_and_a_missing_date_are_refused() -> No
         from_table({**columns, "t": t}, **roles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [0, 1, 10, 5000])
 def test_a_table_that_says_too_little_is_unestimated_or_refused(
     rows: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]

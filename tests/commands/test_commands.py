@@ -87,6 +87,7 @@ def test_simulate_then_estimate(cli: Cli, tmp_path: Path) -> None:
     assert set(content["convergence"]) == {"r_hat", "ess_bulk", "acceptance", "draws", "chains"}
 
 
+@pytest.mark.slow
 def test_tables_for_people(cli: Cli, log: Path) -> None:
     status, out, _ = cli("estimate", log)
     assert status == 0

@@ -28,6 +28,7 @@ def stepped(a: np.ndarray, period: float, ratio: float) -> np.ndarray:
     return mean
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("period", "ratio"), [(1.5, 0.05), (2.6, 0.1), (5.8, 0.15)])
 def test_the_ringing_of_a_mass_is_that_of_its_equation_of_motion(period, ratio):
     frame = Frame.of(driven(minutes=3.0).fit)

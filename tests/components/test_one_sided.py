@@ -15,6 +15,7 @@ def test_moments_are_those_of_the_truncated_normal():
         assert (mean, spread) == pytest.approx((cut.mean(), cut.std()), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [-2.0, 0.0, 1.5])
 def test_the_other_amplitudes_follow_the_one_that_is_cut(size):
     mean, covariance = np.array([3.0, -1.0, size]), np.array([[2.0, 0.3, 0.8], [0.3, 1.0, -0.5], [0.8, -0.5, 1.0]])

@@ -94,6 +94,7 @@ def test_the_slope_felt_changes_over_ten_metres():
     assert_allclose(share[196:204], share[96:104][::-1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_where_one_stretch_follows_another_the_slope_changes_once():
     frame = Frame.of(state_of(driven()).fit)
     (apart,) = stretches(frame, ((100.0, 200.0), (201.0, 231.0)))

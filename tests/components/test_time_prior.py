@@ -68,6 +68,7 @@ def exact_cost(t, spans, dwell):
     return -logsumexp(total, b=weight)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_times_cost_what_the_chain_gives_averaged_over_its_rate(seed):
     """In traffic, to 1.5 of some 45 to 70: the cost has one rate in gaps, the exact one all."""

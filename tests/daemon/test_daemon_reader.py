@@ -48,6 +48,7 @@ def test_frames_of_the_kernel_are_unpacked_as_python_can_packs_them(messages: li
     np.testing.assert_array_equal(batch.frames.t, t)
 
 
+@pytest.mark.slow
 @given(st.lists(st.binary(min_size=16, max_size=16) | st.binary(min_size=72, max_size=72), max_size=20))
 def test_any_bytes_are_sorted_and_counted(raw: list[bytes]) -> None:
     batch = unpack(raw, np.zeros(len(raw)), NONE[: len(raw)])

@@ -310,6 +310,7 @@ def speed(km_h: int) -> can.Message:
     return frame(0x18FEF100, bytes([0xFF, 0, km_h]) + b"\xff" * 5)
 
 
+@pytest.mark.slow
 def test_dm1_goes_out_every_second_and_tells_of_inputs_that_do_not_come(sending: Bench) -> None:
     first = [m for m in sending.bus.sent if groups([m]) == [DM1]]
     assert {bytes(m.data) for m in first} == {bytes.fromhex("00FF 00000000 FFFF")}
@@ -361,6 +362,7 @@ def acknowledgements(messages: list[can.Message]) -> list[bytes]:
     return [bytes(m.data) for m in messages if groups([m]) == [0xE8FF]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("to_us", [True, False], ids=["to us", "to all"])
 def test_dm11_clears_the_active_codes_and_only_those(
     sending: Bench, tmp_path: Path, caplog: pytest.LogCaptureFixture, to_us: bool
@@ -396,6 +398,7 @@ def test_clearing_nothing_is_acknowledged_and_not_logged(sending: Bench, caplog:
     assert "cleared" not in caplog.text
 
 
+@pytest.mark.slow
 def test_codes_that_dm3_cleared_do_not_come_back_with_the_next_start(sending: Bench, tmp_path: Path) -> None:
     assert sending.transmitter is not None
     assert sending.transmitter.diagnostics is not None
@@ -431,6 +434,7 @@ def test_switched_off_there_is_neither_broadcast_nor_answer() -> None:
     assert bytes(next(m for m in bench.bus.sent if groups([m]) == [0xE8FF]).data[:1]) == b"\x01"
 
 
+@pytest.mark.slow
 def test_an_ignition_that_is_off_leaves_the_codes_as_they_are(sending: Bench) -> None:
     sending.traffic(15.0, speed(80))
     assert sending.transmitter is not None

@@ -80,6 +80,7 @@ def test_wireshark_reads_our_frames_as_the_groups_that_they_are(bench: Bench, tm
     assert groups == {*output_groups(), DM1, ADDRESS_CLAIMED, REQUEST, TP_CM, TP_DT, 0xE800}
 
 
+@pytest.mark.slow
 def test_what_wireshark_reads_of_a_broadcast_in_packets_is_our_trouble_codes(bench: Bench, tmp_path: Path) -> None:
     write_pcap(tmp_path / "sent.pcap", bench.bus.sent)
     read = list(dissected(tmp_path / "sent.pcap"))
@@ -117,6 +118,7 @@ def test_the_alert_rules_do_what_their_tests_say() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("expression", "broken"),
     [("> 120", "> 400"), ("== 1", "== 2"), ("> 3600", "> 3700"), ("for: 10m", "for: 40m")],

@@ -172,6 +172,7 @@ def test_a_new_conclusion_is_sent_at_once_and_the_same_every_period(broker: Brok
     sender.end()
 
 
+@pytest.mark.slow
 def test_after_an_outage_of_the_broker_nothing_old_is_sent(broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
     """Every second has another conclusion; those of the outage are lost, none comes late or twice."""
     sender = Sender(broker.port)
@@ -303,6 +304,7 @@ def test_a_broker_with_tls_is_believed_by_its_authority_alone(tmp_path: Path) ->
 # The whole daemon
 
 
+@pytest.mark.slow
 def test_a_daemon_is_online_until_its_configuration_has_no_broker(broker: Broker, tmp_path: Path) -> None:
     file, signals = tmp_path / "c.toml", Signals()
     plain = (
@@ -408,6 +410,7 @@ def test_a_broker_says_why_it_ends_the_connection() -> None:
     impostor.close()
 
 
+@pytest.mark.slow
 def test_a_program_that_does_not_answer_is_left() -> None:
     impostor = Impostor(b"")
     sender = Sender(impostor.port)

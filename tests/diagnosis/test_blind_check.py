@@ -173,6 +173,7 @@ def test_gap_closed_is_whole_with_all_effects_and_partial_with_one():
     assert gap_closed(first, second, (1,)) == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_scores_tell_right_from_wrong():
     right = measures(
         (truth_of(), run_of("effect", "grade")),

@@ -182,6 +182,7 @@ def precision_of_scales(likelihood, scales, beta):
     return information + np.diag([s.spread**-2.0 for s in model.scales])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
 def test_the_scales_are_in_doubt_as_their_evidence_leaves_them(shown):
     """To first order: the moments follow the scales, whose precision is the average information and the priors'."""

@@ -119,6 +119,7 @@ def at_the_last(strides: Strides, fit: RoadFit) -> tuple[float, float, float]:
     return float(gain @ (Y - X @ fit.beta)), float(np.sqrt(own)), float(np.sqrt(own + doubt))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
 @pytest.mark.parametrize(("alpha", "wander"), [(2, ROUGH), (4, ROUGH), (2, SMOOTH)])
 @pytest.mark.parametrize(("power", "designed"), [(True, False), (False, True)])

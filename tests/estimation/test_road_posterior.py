@@ -114,6 +114,7 @@ def test_outside_the_box_the_centre_is_on_its_wall_and_no_density_beyond():
     assert np.all(np.linalg.eigvalsh(t.curvature(t.centre[None])[0]) > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "t",
     [

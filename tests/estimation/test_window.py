@@ -59,6 +59,7 @@ def test_the_window_is_bounded_whatever_comes(sequence, capacity, hours):
     assert w.added == added
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(blocks, st.integers(600, 1200))
 def test_the_fullest_block_goes_first(sequence, capacity):

@@ -83,6 +83,7 @@ def test_power_is_one_finite_number_for_each_sample(effect, shape):
     assert power.any() == (effect.name not in LAGS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [-2.0, 0.0, 1e-9, 7.4])
 def test_power_is_finite_with_shapes_near_any_whatever_size_was_found(size):
     seen = view(300)

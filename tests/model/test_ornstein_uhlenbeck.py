@@ -58,6 +58,7 @@ def test_stretches_that_are_not_linked_are_independent():
     assert K[0, 1] == pytest.approx(np.exp(-0.01))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time", [0.05, 0.3, 1.0, 5.0, 60.0])
 @pytest.mark.parametrize("length", [1.0, 2.5])
 def test_the_mean_between_two_ends_has_the_moments_of_a_fine_grid(length, time):

@@ -34,6 +34,7 @@ from estimator.units import STANDARD_GRAVITY
 # The covariance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
 @pytest.mark.parametrize(("alpha", "wander"), ORDERS)
 def test_gram_and_determinant_are_those_of_the_dense_covariance(shown, alpha, wander):
@@ -377,6 +378,7 @@ def test_power_that_no_signal_shows_is_told_from_noise_of_the_torque():
     assert np.all(np.abs(found.theta[:3] - [A, C, M]) < 3 * sd[:3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_of_the_torque_is_not_taken_for_that_of_the_power(seed):
     strides = strides_of(250, seed=3, unknown=(), silence=250)

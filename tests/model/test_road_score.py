@@ -30,6 +30,7 @@ def test_the_gradient_is_that_of_the_log_evidence(shown, alpha, wander):
         assert_allclose(likelihood.score(scales).gradient, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
 def test_the_information_is_the_average_of_the_observed_and_the_expected_one(shown):
     likelihood = likelihood_of(strides_of(shown=shown))

@@ -111,6 +111,7 @@ def test_batches_of_any_size_give_the_same_strides_to_the_bit(seed, cuts):
     assert counted == rejected
 
 
+@pytest.mark.slow
 def test_row_by_row_is_the_same_as_all_at_once():
     rows = messy(7)
     assert_same(strided(rows, range(1, 500))[0], strided(rows)[0])

@@ -443,6 +443,7 @@ def test_twins_of_wide_priors_cannot_be_told_apart():
     assert [abs(suspect.value) for suspect in found.suspects] == pytest.approx([0.7, 0.7], abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_magnitude_that_cannot_be_negative_is_not():
     residual, candidates, options = world(3, {"drag": -0.5})
     drag = {"drag": candidates["drag"]}

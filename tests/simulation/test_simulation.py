@@ -57,6 +57,7 @@ def test_mean_engine_power_is_road_load_plus_kinetic_power(flat):
     assert np.sqrt(np.mean((power - load) ** 2)) < 1e-3 * np.sqrt(np.mean(power**2))
 
 
+@pytest.mark.slow
 def test_newton_holds_at_every_step(flat):
     free = flat.engaged & ~flat.shifting
     tractive = flat.power[free] / flat.v[free] - flat.brake[free]

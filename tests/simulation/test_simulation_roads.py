@@ -31,6 +31,7 @@ def test_bends_can_be_driven_at_the_speed_of_the_road(kind):
     assert np.ptp(route.heading) > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "measured"),
     [

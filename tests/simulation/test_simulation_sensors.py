@@ -30,6 +30,7 @@ def net_torque(signals):
     return coarse.t, (coarse.value + fine - nominal) * signals[Role.REFERENCE_TORQUE].value[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("role", "period"),
     [

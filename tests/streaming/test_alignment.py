@@ -47,6 +47,7 @@ def integrated(t, value, low: float, high: float) -> float:
 times = st.lists(st.floats(0.011, 0.9), min_size=1, max_size=40).map(lambda gaps: 0.0137 + np.cumsum([0.0, *gaps]))
 
 
+@pytest.mark.slow
 @given(times, st.randoms(use_true_random=False), st.floats(0.05, 1.0))
 def test_cell_means_integrate_the_straight_lines(t, random, limit):
     value = np.array([random.uniform(-50, 50) for _ in t])

@@ -24,6 +24,7 @@ def rows_of(speed, first=7):
     return Rows(index=index, speed=speed, power=power, fresh=fresh, context={})
 
 
+@pytest.mark.slow
 @given(MOVES, st.data())
 def test_rows_of_a_long_stretch_without_a_change_are_frozen_however_they_are_cut(stretches, data):
     """The first half second of a stretch is left to the distance kept from frozen rows."""

@@ -294,6 +294,7 @@ def without(frames: Frames, pgn: int) -> Frames:
     return frames[np.where(destined, pgns & 0x3FF00, pgns) != pgn]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pgn", "name"),
     [

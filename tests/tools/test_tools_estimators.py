@@ -70,6 +70,7 @@ def test_recursive_least_squares_finds_the_truth(peers, rows):
     np.testing.assert_allclose(means(found), TRUTH, rtol=0.005)
 
 
+@pytest.mark.slow
 def test_extended_kalman_filter_finds_the_truth(peers, rows):
     data = peers.stretches(rows, Config().admission, 0.0)
     found = peers.extended_kalman(data, peers.ProcessNoise(power=300.0, walk=0.0, speed=0.001))
@@ -100,6 +101,7 @@ def uphill(rows):
     return replace(rows, power=rows.power + TRUTH[2] * STANDARD_GRAVITY * slope * rows.speed)
 
 
+@pytest.mark.slow
 @WITHOUT_SLOPES
 def test_those_who_expect_slopes_find_the_mass_over_hills(over_hills, peers, rows, name, settings):
     data = peers.stretches(uphill(rows), Config().admission, 0.0)

@@ -300,6 +300,7 @@ def test_a_promise_is_the_share_of_all_that_is_named_in_what_the_configuration_l
     assert tools.recordings.share_promised(answer(verdict="cannot tell")) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("grade", "said", "right", "invented"),
     [
