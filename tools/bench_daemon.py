@@ -1,7 +1,7 @@
 """CPU time, memory, delays and lost frames of the daemon on a full bus, beside a plain python-can program.
 
     python tools/bench_daemon.py [--seconds 60] [--loss-seconds 600] [--output-seconds 60]
-                                 [--warm-minutes 60]
+                                 [--gateway-seconds 60] [--warm-minutes 60]
 
 A second process sends simulated driving, padded with unknown messages to the load of a full bus, at the pace of the
 bus, over a stand-in for SocketCAN (`full_bus/loopback.py`). "Filtered": only frames that pass the daemon's kernel
@@ -13,6 +13,9 @@ frame is handed to the pipeline, which decodes in blocks of five seconds of traf
 A further table has the daemon on a full bus of 500 kbit/s without outputs, with an MQTT broker (mosquitto), with a
 Kuksa databroker (`kuksa_stand_in.py`), and with both. Each gets a new conclusion every ten seconds, and the same one
 again after five.
+
+The last table has it on a slow gateway, behind the filters of a full bus, with a share of one core of this machine
+(`full_bus/quota.py`). "Conclusion" is the longest time that one estimate took.
 """
 
 import argparse
@@ -24,7 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +35,7 @@ from typing import Any
 import numpy as np
 from full_bus import traffic
 from full_bus.loopback import HOST
+from full_bus.quota import Quota
 from harness.check import Cells, Check, Figures, Table
 
 from estimator import config as configuration
@@ -48,6 +52,7 @@ SETTINGS = "[gate]\ninterval_s = 10.0\n[service]\nstate_directory = '{folder}'\n
 BY_HAND, ROADLOAD = "by hand", "roadload"
 PROGRAMS = {BY_HAND: "full_bus.by_hand", ROADLOAD: "full_bus.ours"}
 START = 60.0  # s in which a program has to open its socket
+SHARES = (1.0, 0.25, 0.1)  # of a core
 TICKS = os.sysconf("SC_CLK_TCK")  # per second, of CPU times in /proc
 
 
@@ -94,9 +99,15 @@ def write_state(folder: Path, minutes: float, outputs: str) -> None:
 
 
 def run_one(
-    name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float, outputs: str = ""
+    name: str,
+    rate: float,
+    filtered: bool,
+    seconds: float,
+    warm_minutes: float,
+    outputs: str = "",
+    share: float = 1.0,
 ) -> dict[str, Any]:
-    """Run one program under one load; CPU share, memory, delays and losses."""
+    """Run one program under one load with a share of a core; CPU share, memory, delays and losses."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         load = traffic.padded(traffic.drive(seconds, seed=2), rate, np.random.default_rng(3))
@@ -115,7 +126,8 @@ def run_one(
                 wait_until_bound(port, subject, folder)
                 before = cpu_seconds(subject.pid)
                 sender = [sys.executable, "-m", "full_bus.traffic", str(folder / "load.npz"), str(port)]
-                done = subprocess.run(sender, env=environment, check=True, capture_output=True, text=True)
+                with Quota(subject.pid, share) if share < 1.0 else nullcontext():
+                    done = subprocess.run(sender, env=environment, check=True, capture_output=True, text=True)
                 sent = json.loads(done.stdout)
                 used = cpu_seconds(subject.pid) - before
                 time.sleep(2.0)  # for the last status
@@ -179,6 +191,18 @@ def outputs(options: argparse.Namespace) -> list[dict[str, Any]]:
     ]
 
 
+def gateway(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Cells of the daemon with shares of a core."""
+    if not options.gateway_seconds:
+        return []
+    rate, seconds, minutes = traffic.BUS_LOAD[500], options.gateway_seconds, options.warm_minutes
+    rows = {share: run_one(ROADLOAD, rate, True, seconds, minutes, share=share) for share in SHARES}
+    return [
+        {"share of a core [%]": 100 * share, "conclusion s": row["conclusion_s"]} | cells(row, rows[1.0]["cpu"])
+        for share, row in rows.items()
+    ]
+
+
 def cells(row: dict[str, Any], base: float) -> dict[str, Any]:
     """Figures of a run; ``base`` is the CPU share that its own is compared with."""
     delays = {f"{name} ms": row["processed"][f"{name}_ms"] for name in ("p50", "p99", "max")}
@@ -187,13 +211,17 @@ def cells(row: dict[str, Any], base: float) -> dict[str, Any]:
 
 
 def measure(options: argparse.Namespace) -> Figures:
-    """Every load, and every output."""
-    return {"loads": loads(options), "outputs": outputs(options)}
+    """Every load, every output, and every share of a core."""
+    return {"loads": loads(options), "outputs": outputs(options), "gateway": gateway(options)}
 
 
 def tables(figures: Figures) -> list[Table]:
     """A row for each run."""
-    titles = {"loads": "Loads of the bus", "outputs": "The daemon on a full bus of 500 kbit/s, by its outputs"}
+    titles = {
+        "loads": "Loads of the bus",
+        "outputs": "The daemon on a full bus of 500 kbit/s, by its outputs",
+        "gateway": "The daemon on a slow gateway",
+    }
     return [Table.of(title, figures[name]) for name, title in titles.items() if figures[name]]
 
 
@@ -202,6 +230,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of each load; 0: none (default 60)")
     parser.add_argument("--loss-seconds", type=float, default=600.0, help="of full load; 0: none (default 600)")
     parser.add_argument("--output-seconds", type=float, default=60.0, help="of each output; 0: none (default 60)")
+    parser.add_argument("--gateway-seconds", type=float, default=60.0, help="of each share; 0: none (default 60)")
     parser.add_argument("--warm-minutes", type=float, default=60.0, help="of driving known at the start (default 60)")
 
 
