@@ -22,9 +22,7 @@ from estimator.model.effects.effect import Effect
 FIRST_SIZE = 2  # terms at most, of hypotheses in the first round
 MAX_ROUNDS = 20  # of table and scales, each found beside the other
 MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
-ROUNDING = (
-    1e-6  # of log evidence: by less, a round that finds the same hypothesis and scales again differs by rounding alone
-)
+ROUNDING = 1e-6  # of log evidence, by which a round that finds the same hypothesis and scales again may differ
 
 _Fit = tuple[float, tuple[DriveState, ...]]  # log posterior, and the drives fitted
 

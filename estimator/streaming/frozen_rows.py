@@ -26,9 +26,7 @@ USUAL = 0.5  # s without a change that are not unusual; less than what is kept a
 LONGEST = 10.0  # s; coarse signals, in steps of 1 km/h, are steady for a few seconds
 MIN_SPEED = 1.0  # m/s: at a standstill nothing changes
 MAX_IMPROBABLE = 120.0  # -n log p of one signal alone
-LEARNT = (
-    20  # rows of a repetition, 2 s, from which p is learnt: a value that is held for long says nothing of the usual
-)
+LEARNT = 20  # rows of a repetition, 2 s, from which p is learnt: a value that is held for longer is not usual
 PRIOR_ROWS = 20.0  # rows of the prior of p, one of them a repetition
 
 
@@ -78,10 +76,8 @@ class _Repetition:
         self._last: Floats | None = None  # values (k,) of the row before the next one
         self._count = 0  # rows before that with the same values
         self._is_long = False  # of that row
-        self._repeated, self._rows = (
-            1.0,
-            PRIOR_ROWS,
-        )  # rows equal to the row before, and all rows from which p is learnt
+        # Rows equal to the row before, and all rows, from which p is learnt.
+        self._repeated, self._rows = 1.0, PRIOR_ROWS
 
     def feed(self, rows: Rows) -> Rows | None:
         """Take the next rows, at least one; return those that are now decided, marked."""

@@ -45,9 +45,7 @@ LINES = frozenset({Role.SPEED, Role.WHEEL_SPEEDS, Role.ENGINE_POWER, Role.ENGINE
 MIN_INTERVALS, MAX_FIRST = 3, 100  # readings that show how often a signal comes
 NO_TIMES = np.empty(0)
 MAX_GAPS = 1000  # newest gaps that are kept: bounds the memory of a daemon
-MIN_SET_CLOCK = (
-    1_577_836_800.0  # s, start of 2020: timestamps before it mean an unset clock, so the downtime is unknown
-)
+MIN_SET_CLOCK = 1_577_836_800.0  # s, start of 2020: before it a clock is not set, and the downtime unknown
 
 
 @dataclass(frozen=True, slots=True)
