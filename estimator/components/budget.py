@@ -41,13 +41,13 @@ FOLDS, STRETCH = 3, 60  # and strides per stretch: longer than the memory of noi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Contribution of one cause to the gap.
+    """Contribution of one cause to the gap; of a given one, what the model has wrong of it.
 
-    ``share`` of the mean square of the plain model's residual, with its 90 % interval; ``rms`` [W] of the contribution.
-    ``held_out_rms`` [W]: held-out residual rms of the model with the given causes and this one; None without that fit.
-    ``expected`` [W]: residual rms if this cause and the given ones were known exactly, as by signals of their own.
-    ``closed``: its share in all that was found (chosen effects, nameless processes, road), with a 90 % interval that
-    allows for effects not found.
+    ``share`` of the mean square of the residual with the given causes, with its 90 % interval; ``rms`` [W] of the
+    contribution. ``held_out_rms`` [W]: held-out residual rms of the model with the given causes and this one; None of a
+    given one, and without that fit. ``expected`` [W]: residual rms if this cause were known exactly, as by a signal of
+    its own, beside the given ones. ``closed``: its share in all that was found (chosen effects, nameless processes,
+    road), with a 90 % interval that allows for effects not found.
     """
 
     cause: str
@@ -79,8 +79,7 @@ class Residuals:
 class Budget:
     """Gap of all drives: root mean squares [W] of `Residuals`, the parts, and the residuals of each drive."""
 
-    total: float  # plain road load
-    base: float  # with the given effects
+    base: float  # plain road load, with the given effects
     held_out_rms: float  # with all chosen terms, on stretches left out of the fit
     parts: tuple[Part, ...]
     residuals: tuple[Residuals, ...] = field(default=(), repr=False)
@@ -118,14 +117,13 @@ def budget(
     """Gap budget of one drive, or of several together.
 
     For each drive ``possible`` holds effects that were not chosen, and ``unnamed`` the nameless processes to include.
-    Causes that are ``given`` are in the base model of every part, and do not count as closed gap.
+    Causes that are ``given`` are in the model whose residual is split. Their parts do not count as closed gap.
     """
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
     ]
     residuals = tuple(_residuals(drive_powers, given) for drive_powers in powers)
     residual = np.concatenate([drive_powers.residual for drive_powers in powers])
-    total = _rms(residual)
     drawn = _concatenated(
         [drive_powers.draws for drive_powers in powers],
         [np.zeros((len(drive_powers.residual), DRAWS)) for drive_powers in powers],
@@ -134,6 +132,9 @@ def budget(
         [drive_powers.held_out for drive_powers in powers],
         [np.zeros(len(drive_powers.residual)) for drive_powers in powers],
     )
+    for cause in [cause for cause in held_out if cause in given]:
+        known = held_out.pop(cause)
+        residual, drawn[cause] = residual - known, drawn[cause] - known[:, None]
     chosen = {term.name for drive in drives for term in drive.chosen}
     not_chosen = dict.fromkeys(term.name for terms in possible for term in terms if term.name not in chosen)
     _pool_small(drawn, residual, not_chosen)
@@ -142,10 +143,9 @@ def budget(
     found_share = all_but_noise - sum(
         (shares[cause] for cause in (*not_chosen, OTHERS) if cause in shares), np.zeros(DRAWS)
     )
-    parts = [_part(cause, residual, drawn, held_out, given, (found_share, all_but_noise)) for cause in drawn]
-    base, held_out_rms = _rms(_without(residual, held_out, given)), _rms(_without(residual, held_out, held_out))
+    parts = [_part(cause, residual, drawn, held_out, (found_share, all_but_noise)) for cause in drawn]
+    base, held_out_rms = _rms(residual), _rms(_without(residual, held_out, held_out))
     return Budget(
-        total=total,
         base=base,
         held_out_rms=held_out_rms,
         parts=tuple(sorted(parts, key=lambda part: -part.share)),
@@ -204,11 +204,10 @@ def _part(
     residual: Floats,
     drawn: Mapping[str, Floats],
     held_out: Mapping[str, Floats],
-    given: Collection[str],
     systematic: tuple[Floats, Floats],
 ) -> Part:
     """Part of a cause; ``systematic`` (d,), (d,): total share of the causes found, and of everything but noise."""
-    draws, added = drawn[cause], {cause, *given}
+    draws = drawn[cause]
     shares = residual @ draws / (residual @ residual)
     mean = float(shares.mean())
     low, high = (mean - np.quantile(shares, [0.05, 0.95])).tolist()
@@ -222,8 +221,8 @@ def _part(
         q05=mean - float(np.hypot(low, form)),
         q95=mean + float(np.hypot(high, form)),
         rms=_rms(draws),
-        held_out_rms=_rms(_without(residual, held_out, added)) if cause in held_out else None,
-        expected=_rms(_without(residual, drawn, added)),
+        held_out_rms=_rms(_without(residual, held_out, {cause})) if cause in held_out else None,
+        expected=_rms(_without(residual, drawn, {cause})),
     )
 
 

@@ -14,7 +14,7 @@ from estimator.report.page import figures, tables
 from estimator.report.page.document import Section, document, write_document
 
 REMAINDER_SENTENCES = {
-    Verdict.NO_GAP: "Nothing beyond noise is left.",
+    Verdict.NO_GAP: "Nothing systematic is left.",
     Verdict.EFFECT: "Another effect of the catalogue may still act, but not clearly enough to be added.",
     Verdict.UNKNOWN: "Something is left that no effect of the catalogue explains.",
     Verdict.CANNOT_TELL: "Whether anything is left cannot be told.",
@@ -66,8 +66,8 @@ def _budget(d: Diagnosis) -> str:
     if d.budget is None:
         return ""
     meaning = (
-        '<p class="soft">Mean square of the plain model&#x27;s residual over means of 2 s, '
-        f"{wording.kilowatts(d.budget.total)} in all, with 90 % intervals. Left once added: on held-out stretches, "
+        '<p class="soft">Mean square of the model&#x27;s residual over means of 2 s, '
+        f"{wording.kilowatts(d.budget.base)} in all, with 90 % intervals. Left once added: on held-out stretches, "
         "with the signals there are. Left if it were known: as a signal of its own would show it. The gap is all but "
         "the noise of the sensors.</p>"
     )
@@ -135,7 +135,8 @@ def _left(d: Diagnosis) -> str:
     final = d.rms_base if d.rms_final is None else d.rms_final
     formula = f" A power of {html.escape(wording.formula(d))}." if d.formula is not None else ""
     return (
-        f"<p>{REMAINDER_SENTENCES[d.remaining_verdict]}{strength}{formula} The residual is {wording.kilowatts(final)}; "
+        f"<p>{REMAINDER_SENTENCES[d.remaining_verdict]}{strength}{formula} "
+        f"The residual is {wording.with_exact_road(d, final)}; "
         f"the noise floor is {wording.kilowatts(d.noise_floor)}.</p>"
     )
 

@@ -3,6 +3,7 @@
 import math
 
 from estimator.answers.diagnosis import Verdict
+from estimator.components.budget import ROAD
 from estimator.diagnosis.result import (
     EARLY,
     HIDDEN_GRADE,
@@ -48,7 +49,7 @@ def headline(d: Diagnosis) -> str:
             beside = f"Beside {named}, an" if named else "An"
             return f"{beside} effect outside the catalogue acts on this drive."
         case Verdict.NO_GAP:
-            return "No gap: the model explains this drive down to its noise."
+            return "No gap: the model leaves nothing systematic on this drive."
         case Verdict.CANNOT_TELL:
             return "This log cannot tell what separates the model from the engine."
 
@@ -60,8 +61,7 @@ def reason(d: Diagnosis) -> str:
     match d.verdict:
         case Verdict.NO_GAP:
             hidden = f"; too small to see here: {', '.join(i.name for i in d.invisible)}" if d.invisible else ""
-            described = f"The model describes this drive to {kilowatts(d.rms_base)}"
-            return f"{described}, and nothing systematic is left{hidden}."
+            return f"The model describes this drive to {with_exact_road(d, d.rms_base)}{hidden}."
         case Verdict.UNKNOWN:
             size = "" if d.remainder is None else f": {d.remainder.name}, {kilowatts(d.remainder.rms)}"
             return f"Something is missing that no known effect explains{size} of {kilowatts(d.rms_base)}."
@@ -69,6 +69,14 @@ def reason(d: Diagnosis) -> str:
             return _doubt(d)
         case Verdict.EFFECT:
             return _improvement(d)
+
+
+def with_exact_road(d: Diagnosis, rms: float | None) -> str:
+    """A residual ``rms`` [W], and the smaller one that would be left if the road were known exactly."""
+    road = None if d.budget is None else d.budget.part(ROAD)
+    if rms is None or road is None or kilowatts(road.expected) == kilowatts(rms):
+        return kilowatts(rms)
+    return f"{kilowatts(rms)} ({kilowatts(road.expected)} if its road were exact)"
 
 
 def formula(d: Diagnosis) -> str:

@@ -642,13 +642,19 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
         return 0.5 * (rest[0::2] + rest[1::2])
 
     residual, load = off(F * v), off(power)
-    assert whole.total == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.02)
+    assert whole.base == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.02)
     part = whole.part("auxiliary_cycling")
     assert part.share == pytest.approx(residual @ load / (residual @ residual), abs=0.05)
     assert whole.part(ROAD).share + part.share > 0.9
-    assert part.held_out_rms < 0.97 * whole.total
-    assert part.expected < whole.total
+    assert part.held_out_rms < 0.97 * whole.base
+    assert part.expected < whole.base
     assert whole.part(NOISE).held_out_rms is None
+    # Given, it leaves the errors of its own alone.
+    known = budget(found.drives, [[]], [[]], np.random.default_rng(1), {"auxiliary_cycling"})
+    assert sum(part.share for part in known.parts) == pytest.approx(1.0, abs=1e-9)
+    assert known.base == pytest.approx(part.held_out_rms)
+    assert known.part("auxiliary_cycling").rms < 0.3 * part.rms
+    assert known.part("auxiliary_cycling").held_out_rms is None
 
 
 @pytest.mark.slow

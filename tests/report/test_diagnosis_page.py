@@ -193,8 +193,7 @@ def test_a_probability_stands_beside_the_names_that_it_is_of() -> None:
         (empty(), "Cannot tell: the log holds 40 s of driving; ten minutes are needed."),
         (
             changed(verdict=Verdict.NO_GAP, effects=()),
-            "The model describes this drive to 13.4 kW, and nothing systematic is left; "
-            "too small to see here: viscous_drag, auxiliary_load.",
+            "The model describes this drive to 13.4 kW; too small to see here: viscous_drag, auxiliary_load.",
         ),
         (unknown(), "Something is missing that no known effect explains: power over time, 6.1 kW of 9.1 kW."),
         (
