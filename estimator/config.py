@@ -322,8 +322,12 @@ def _is_bare(path: Path) -> bool:
 
 
 def _shipped() -> dict[str, Path]:
-    """Configurations that are shipped, by name."""
-    return {path.stem: path for path in Path(str(files("estimator.dbc"))).glob("*.toml")}
+    """Configurations that are shipped with their databases, by name."""
+    paths = Path(str(files("estimator.dbc"))).glob("*.toml")
+    databases = {path: tomllib.loads(path.read_text(encoding="utf-8"))["bus"]["dbc"] for path in paths}
+    return {
+        path.stem: path for path, names in databases.items() if all((path.parent / name).is_file() for name in names)
+    }
 
 
 def _refuse_long_keys(text: str) -> None:

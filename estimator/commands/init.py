@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     Raises
     ------
     ConfigError
-        No database is given, more than one log is, or the output exists.
+        No database is given, more than one log is, none of its messages comes in the log, or the output exists.
     """
     databases, log = _inputs(options.file)
     output: Path | None = options.output
@@ -45,6 +45,8 @@ def run(options: argparse.Namespace) -> int:
     if log is not None:
         with progress_bar("reading") as progress:
             found = survey(log, [candidate for fit in by_role.values() for candidate in fit], progress)
+        if not found.is_by_group and not any(presence.readings for presence in found.presences.values()):
+            raise ConfigError(f"{log}: no message of {databases[0]} comes in it; give the database of this vehicle")
     text = proposal(databases, by_role, found, log)
     for remark in database.remarks:
         complain(f"note: {remark}")
@@ -53,7 +55,8 @@ def run(options: argparse.Namespace) -> int:
         return 0
     with whole(output) as file:
         file.write(text.encode())
-    complain(f"note: {output} is written; look at its signals, then run roadload check --config {output}")
+    shown = f"roadload check {log or 'LOG'} --config {output}"
+    complain(f"note: {output} is written; look at its signals, then run {shown}")
     return 0
 
 

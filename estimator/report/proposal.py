@@ -44,7 +44,7 @@ def proposal(
     bound = _bound(ranked, found)
     lines = [
         "# Proposed by roadload init from names, units and sizes in the database. Look at each signal; then run",
-        f"# roadload check {log or 'LOG'} --config FILE.toml with this file, and roadload estimate in its place.",
+        f"# roadload check {log or 'LOG'} --config FILE.toml with this file, then roadload estimate likewise.",
         "",
         "[bus]",
         f"dbc = [{', '.join(json.dumps(str(path.resolve()), ensure_ascii=False) for path in databases)}]",

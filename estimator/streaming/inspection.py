@@ -42,10 +42,11 @@ class Input:
         finite = value[np.isfinite(value)]
         edges = np.append(t, end)
         long = np.diff(edges) > max(MIN_GAP_PERIODS * period, MIN_GAP)
+        heard = np.diff(t)[~long[:-1]]
         return InputAnswer(
             signal=self.name,
             readings=len(t),
-            rate_Hz=round(1 / period, 3) if np.isfinite(period) and period > 0 else None,
+            rate_Hz=round(len(heard) / float(heard.sum()), 3) if heard.any() else None,
             not_available=round(1 - len(finite) / len(t), 6),
             minimum=float(finite.min()) if len(finite) else None,
             maximum=float(finite.max()) if len(finite) else None,
@@ -137,7 +138,7 @@ class Inspection:
                 Busy(id=f"{ident & ~EXTENDED:0{8 if ident & EXTENDED else 3}X}", frames=count)
                 for ident, count in self._idents.most_common(10)
             ),
-            usable=not missing,
+            usable=not missing and (final is None or final.status is not Status.INVALID),
             status=Status.UNESTIMATED if final is None else final.status,
             reason=missing if final is None else final.reason,
             coverage=0.0 if final is None else final.coverage.fraction,

@@ -75,6 +75,11 @@ def advice(
         return f"{answers:,} frames are answers to OBD-II requests: give --config obd2"
     if config.table is not None:
         return 'give them columns with numbers, as in --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+    if not seen and not config.signals:
+        return (
+            "if the vehicle does not speak J1939, roadload init FILE.dbc LOG -o FILE.toml proposes a configuration "
+            "from its DBC; give that as --config FILE.toml"
+        )
     return remedy(missing, seen, config.binding)
 
 

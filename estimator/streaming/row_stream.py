@@ -224,6 +224,8 @@ class RowStream:
         MissingInputsError
             A needed signal never came, never with a valid value, or too seldom to be used.
         """
+        if not self.frames:
+            raise MissingInputsError(f"{source}: no frame came; check the bit rate, the wiring and the filters")
         if not self.valid_rows and (reason := self._too_seldom()):
             raise MissingInputsError(f"{source}: {reason}")
         if missing := self._missing_roles():

@@ -265,7 +265,7 @@ def test_a_decoded_table_is_no_log_and_the_message_shows_the_command() -> None:
     path = LOGS / "decoded.csv"
     assert refusal(path) == (
         f"{path}: a table of decoded values, not a log of frames (its columns: 'time,speed_kmh,power_kw,altitude_m'); "
-        f'give its columns: roadload estimate {path} --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+        'give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
     )
 
 

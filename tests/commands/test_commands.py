@@ -233,12 +233,18 @@ def test_the_remedy_for_missing_inputs_can_be_pasted_and_works(
     assert cli("estimate", log, "--config", settings)[0] == 0
 
 
-def test_a_bus_that_is_not_j1939_gets_the_shortest_table(cli: Cli, tmp_path: Path, traffic: Frames) -> None:
+def test_a_bus_that_is_not_j1939_is_shown_the_way_to_a_configuration(cli: Cli, tmp_path: Path, traffic: Frames) -> None:
     other = Frames(traffic.t, np.full(len(traffic), 0x123, np.uint32), traffic.length, traffic.data)
     write_log(other, tmp_path / "a.blf")
     outcome = cli("estimate", tmp_path / "a.blf")
-    fails(outcome, 'signals = {speed = "MESSAGE.signal", engine_power = "MESSAGE.signal"}', "--dbc", "found: none")
-    assert "reference_torque_Nm" not in outcome[2]
+    fails(outcome, "roadload init FILE.dbc LOG -o FILE.toml", "--config FILE.toml", "found: none")
+    assert f"most frequent ids: 123 ({len(traffic):,} frames)" in cli("inspect", tmp_path / "a.blf")[1]
+
+
+def test_a_silent_bus_is_told(cli: Cli) -> None:
+    code, out, _ = cli("check", "-i", "virtual", "-c", "silent", "--seconds", "1", "--json")
+    assert (code, json.loads(out)["frames"]["read"]) == (1, 0)
+    assert "no frame came" in json.loads(out)["reason"]
 
 
 def test_unestimated_says_what_to_do(cli: Cli, log: Path) -> None:

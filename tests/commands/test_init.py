@@ -100,6 +100,14 @@ def test_the_example_of_an_own_vehicle_is_bound_as_by_hand(tmp_path: Path, cli: 
     assert load(output).signals == load(EXAMPLE / "van.toml").signals
 
 
+def test_a_log_without_a_message_of_the_database_is_refused(tmp_path: Path, cli: Cli) -> None:
+    output = tmp_path / "car.toml"
+    code, _, err = cli("init", car(tmp_path), EXAMPLE / "van.blf", "-o", output)
+    assert code == 2
+    assert f"van.blf: no message of {car(tmp_path)} comes in it" in err
+    assert not output.exists()
+
+
 @pytest.mark.parametrize(
     ("other", "why"),
     [

@@ -113,7 +113,7 @@ def test_shipped_configurations_have_names_and_files_come_first(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert config.load("obd2").bus.match == "obd"
-    with pytest.raises(ConfigError, match=r"^obd3: No such file or directory; .* bmw_i3, bmw_i3_battery, obd2$"):
+    with pytest.raises(ConfigError, match=r"^obd3: No such file or directory; .* shipped: obd2$"):
         config.load("obd3")
     with pytest.raises(ConfigError, match=r"^obd2\.toml: No such file or directory$"):
         config.load("obd2.toml")

@@ -142,7 +142,8 @@ class BlfLog(Log):
     def _damage(self, offset: int, fault: str, frames: int, header: Header) -> LogError:
         unclosed = "its writer never closed it; " if header.objects == 0 else ""
         # At an object that is too small, python-can's converter may never end.
-        keep = "copy it anew" if TOO_SMALL in fault else f"to keep those: can_logconvert '{self.path}' repaired.blf"
+        is_worth_keeping = frames and TOO_SMALL not in fault
+        keep = f"to keep those: can_logconvert '{self.path}' repaired.blf" if is_worth_keeping else "copy it anew"
         return LogError(
             f"{self.path}: damaged or cut at byte {offset} ({fault}) after {frames} frames; {unclosed}{keep}"
         )

@@ -3,7 +3,6 @@
 import re
 from functools import partial
 from pathlib import Path
-from shlex import quote
 
 import can
 
@@ -70,10 +69,10 @@ class CsvLog(LineLog):
 
 
 def decoded_table(path: Path, header: bytes) -> str:
-    """Error message for a table of decoded values given as a log, with the command that reads it."""
+    """Error message for a table of decoded values given as a log, with the options that read it."""
     return (
         f"{path}: a table of decoded values, not a log of frames (its columns: {shown(header)}); "
-        f'give its columns: roadload estimate {quote(str(path))} --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+        'give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
     )
 
 

@@ -254,7 +254,7 @@ def start_all(
         if effect.name in asked:
             raise InputError(f"effect {effect.name}: asked for twice; give it one magnitude")
         if not kind.allows(effect.magnitude):
-            usual = f"{kind.low:g} to {kind.high:g} {kind.unit}"
+            usual = f"{kind.low:g} to {kind.high:g} {kind.unit}".removesuffix(" 1")
             raise InputError(f"effect {effect.name}: cannot be {effect.magnitude:g}; plausible is {usual}")
         asked[effect.name] = effect
     actions: dict[str, Action] = {}
