@@ -110,10 +110,10 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
             role, Text(printable(x.signal)), address, rate, f"{100 * x.not_available:.1f} %", values, gaps + more
         )
     console.print(table)
-    if found.inputs:
+    if found.inputs and found.missing:
         missing = ", ".join(f"{role} ({signal})" for role, signal in found.missing.items())
-        say(console, f"missing: {missing or 'nothing'}")
-    elif found.busiest:
+        say(console, f"missing: {missing}")
+    if not found.inputs and found.busiest:
         say(console, f"most frequent ids: {', '.join(f'{busy.id} ({busy.frames:,} frames)' for busy in found.busiest)}")
     if frames.reordered:
         say(console, f"put in order of time: {frames.reordered:,} frames")
