@@ -1,8 +1,9 @@
-"""Make van.blf: the simulated drive of a van of 2,800 kg, as frames of van.dbc.
+"""Make van.blf and van.csv: the simulated drive of a van of 2,800 kg, as frames of van.dbc and as a table.
 
-python examples/own_vehicle/make_log.py [OUT.blf]
+python examples/own_vehicle/make_log.py [FOLDER]
 """
 
+import csv
 import sys
 from pathlib import Path
 
@@ -33,23 +34,30 @@ VAN = Truck(
 SEED = 1
 DURATION = 900.0  # s
 PERIOD = 0.1  # s, of both messages
+ROW = 5  # periods, of the table
 WHEELS = ("FrontLeft", "FrontRight", "RearLeft", "RearRight")
 
 
-def frames_of(signals: Signals) -> Frames:
-    """Convert signals to the messages WHEELS and DRIVE of van.dbc, both every 0.1 s."""
+def columns_of(signals: Signals) -> tuple[Floats, dict[str, Floats]]:
+    """Times [s] every PERIOD, and speed [km/h], torque [N m], engine speed [rpm] and brake switch at them, by name."""
     t = np.arange(signals[Role.SPEED].t[0], signals[Role.SPEED].t[-1], PERIOD)
 
     def at(role: Role) -> Floats:
         return np.interp(t, signals[role].t, signals[role].value)
 
     indicated = (at(Role.TORQUE_FRACTION) + at(Role.TORQUE_FRACTION_FINE)) * VAN.reference_torque
-    wheels = dict.fromkeys(WHEELS, 3.6 * at(Role.SPEED))
-    drive = {
+    return t, {
+        "Wheels": 3.6 * at(Role.SPEED),
         "Torque": indicated - VAN.friction_torque(at(Role.ENGINE_SPEED)),
         "Speed": at(Role.ENGINE_SPEED) * 30 / np.pi,
         "Brake": at(Role.BRAKE_SWITCH).round(),
     }
+
+
+def frames_of(t: Floats, columns: dict[str, Floats]) -> Frames:
+    """Convert `columns_of` to the messages WHEELS and DRIVE of van.dbc."""
+    wheels = dict.fromkeys(WHEELS, columns["Wheels"])
+    drive = {name: columns[name] for name in ("Torque", "Speed", "Brake")}
     database = load_database([str(HERE / "van.dbc")])
     contents = {database.get_message_by_name("WHEELS"): wheels, database.get_message_by_name("DRIVE"): drive}
     return Frames.from_messages(
@@ -65,11 +73,23 @@ def _encoded(message: Message, columns: dict[str, Floats], i: int) -> bytes:
     return message.encode({name: float(values[i]) for name, values in columns.items()}, padding=True)
 
 
+def write_table(path: Path, t: Floats, columns: dict[str, Floats]) -> None:
+    """Write every fifth of `columns_of`, with the power at the shaft."""
+    power = columns["Torque"] * columns["Speed"] * np.pi / 30e3
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["t", "v", "P", "brake"])
+        for row in zip(t[::ROW], columns["Wheels"][::ROW], power[::ROW], columns["Brake"][::ROW], strict=True):
+            writer.writerow([f"{row[0]:.1f}", f"{row[1]:.2f}", f"{row[2]:.2f}", f"{row[3]:.0f}"])
+
+
 def main(arguments: list[str]) -> None:
-    """Simulate the drive and write the log."""
-    rng = np.random.default_rng(SEED)
+    """Simulate the drive, write the log and the table."""
+    rng, folder = np.random.default_rng(SEED), Path(arguments[0]) if arguments else HERE
     recording = record(VAN, generate_route("mixed", 40.0 * DURATION, rng), DURATION, rng)
-    write_log(frames_of(recording.signals), Path(arguments[0]) if arguments else HERE / "van.blf")
+    t, columns = columns_of(recording.signals)
+    write_log(frames_of(t, columns), folder / "van.blf")
+    write_table(folder / "van.csv", t, columns)
 
 
 if __name__ == "__main__":
