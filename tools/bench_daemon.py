@@ -222,7 +222,7 @@ def tables(figures: Figures) -> list[Table]:
         "outputs": "The daemon on a full bus of 500 kbit/s, by its outputs",
         "gateway": "The daemon on a slow gateway",
     }
-    return [Table.of(title, figures[name]) for name, title in titles.items() if figures[name]]
+    return [Table.of(title, figures[name]) for name, title in titles.items() if figures.get(name)]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

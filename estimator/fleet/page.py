@@ -46,7 +46,11 @@ TERMS = (
         "interval",
         "90 %, of the vehicle as at its newest drive; single drives scatter around it, with the wind for one",
     ),
-    ("out of line", "beyond what the other vehicles predict; the q value is the share of false ones to be expected"),
+    (
+        "out of line",
+        "beyond what the other vehicles predict, with its difference from the median of all; the q value is the share "
+        "of false ones to be expected",
+    ),
 )
 
 
@@ -101,7 +105,8 @@ def _header(of: Tables) -> str:
     estimated = sum(row["status"] == "estimated" for row in of.drives)
     with_drag = sum("C_N_s2_m2_mean" in row for row in of.vehicles)
     words = f"{_extent(of)}. " if named else ""
-    words += f"The mass is known of {estimated:,} loads, C of {with_drag:,} of {counted(len(of.vehicles), 'vehicle')}. "
+    vehicles = counted(len(of.vehicles), "vehicle")
+    words += f"The mass of {estimated:,} loads is known, and C of {with_drag:,} of {vehicles}. "
     others = Counter(row["status"] for row in of.drives if row["status"] != "estimated")
     words += "; ".join(f"{count:,} {status}" for status, count in others.most_common()) + ("." if others else "")
     kind = "unknown-effect" if named else "no-gap"

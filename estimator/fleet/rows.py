@@ -128,8 +128,7 @@ def _out_of_line(fleet: Fleet, vehicle: VehicleResult, q: Floats, rate: float) -
     words = []
     for i, (name, marginal) in enumerate(zip(("A/m", "C"), vehicle.compared, strict=True)):
         if marginal is not None and q[i] <= rate:
-            others = [other for v in fleet.vehicles if (other := v.compared[i]) is not None]
-            middle = float(np.median([other.mean for other in others]))
+            middle = float(np.median([each.mean for v in fleet.vehicles if (each := v.compared[i]) is not None]))
             words.append(f"{name} {100 * (marginal.mean / middle - 1):+.0f} %")
     return words
 

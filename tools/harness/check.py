@@ -25,6 +25,7 @@ from estimator.output_files import whole
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "results"
+NOTHING = "-"  # a cell without a value
 OWN = ("json", "out", "read", "date", "workers")  # options that change no figure
 Figures = dict[str, Any]
 Item = TypeVar("Item")
@@ -68,7 +69,8 @@ class Cells:
         lines = []
         for name, *cells in table.rows:
             named = zip(table.columns[1:], cells, strict=True)
-            shown = [(column, cell) for column, cell in named if column in (self.columns or table.columns)]
+            wanted = self.columns or table.columns
+            shown = [(column, cell) for column, cell in named if column in wanted and cell != NOTHING]
             chosen = [cell if column == "value" else f"{column} {cell}" for column, cell in shown]
             lines += [f"**{name}**: {', '.join(chosen)}"] if name.startswith(self.rows) else []
         return "; ".join(lines)
@@ -200,8 +202,8 @@ def plain(value: Any) -> Any:
 
 
 def percent(value: float | None, digits: int = 1, sign: str = "") -> str:
-    """A share in per cent; "-" where there is none."""
-    return "-" if value is None else f"{100 * value:{sign}.{digits}f} %"
+    """A share in per cent; NOTHING where there is none."""
+    return NOTHING if value is None else f"{100 * value:{sign}.{digits}f} %"
 
 
 def cell(value: Any) -> str:
@@ -211,7 +213,7 @@ def cell(value: Any) -> str:
         return f"{first} +- {others[0]}" if len(others) == 1 else f"{first} ({' .. '.join(others)})"
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
-    return "-" if value is None or value == "" else str(value)
+    return NOTHING if value is None or value == "" else str(value)
 
 
 def _is_place(value: Any) -> bool:
