@@ -47,8 +47,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
     for line in parameter_text.references(d.references):
         yield "others", line
     if steps:
-        strength = wording.bayes(d.remaining_log_bayes_factor)
-        yield "left", f"{d.remaining_verdict.value}, log Bayes factor {strength}"
+        yield "left", f"{d.remaining_verdict.value}, log Bayes factor {wording.strength_of_rest(d)}"
     if d.p_value is not None:
         yield "p value", f"{d.p_value:.3g}: how often noise alone gives an effect as much evidence"
     if d.formula is not None:

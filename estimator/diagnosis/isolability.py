@@ -64,4 +64,4 @@ def is_lasting(effect: Effect) -> bool:
 def not_testable(effects: Sequence[Effect], quantities: frozenset[Quantity]) -> list[NotTestable]:
     """Effects that need a signal which is not among the known ``quantities``."""
     missing = [effect for effect in effects if not effect.usable_shapes(quantities)]
-    return [NotTestable(effect.name, " or ".join(role.value for role in effect.wanted_roles)) for effect in missing]
+    return [NotTestable(effect.name, effect.wanted(quantities)) for effect in missing]

@@ -131,7 +131,7 @@ def _left(d: Diagnosis) -> str:
         return ""
     strength = ""
     if d.remaining_log_bayes_factor is not None:
-        strength = f" Log Bayes factor of the best further explanation: {wording.bayes(d.remaining_log_bayes_factor)}."
+        strength = f" Log Bayes factor of the best further explanation: {wording.strength_of_rest(d)}."
     final = d.rms_base if d.rms_final is None else d.rms_final
     formula = f" A power of {html.escape(wording.formula(d))}." if d.formula is not None else ""
     return (

@@ -79,6 +79,14 @@ def with_exact_road(d: Diagnosis, rms: float | None) -> str:
     return f"{kilowatts(rms)} ({kilowatts(road.expected)} if its road were exact)"
 
 
+def strength_of_rest(d: Diagnosis) -> str:
+    """Log Bayes factor of the best further explanation; a large one that is not reported has its reason."""
+    best = d.remaining_log_bayes_factor
+    is_large = best is not None and best > THRESHOLDS.min_log_bf_unknown
+    is_dismissed = is_large and d.remaining_verdict is Verdict.NO_GAP
+    return bayes(best) + (", as errors in the form of the effects found may give" if is_dismissed else "")
+
+
 def formula(d: Diagnosis) -> str:
     """Formula of the residual that has no name, and how well it describes it; empty if there is none."""
     if d.formula is None:

@@ -126,15 +126,20 @@ def test_one_source_of_several_will_do(effect, source):
     others = {shape for shape in effect.shapes if isinstance(shape, Quantity)} - {source}
     assert source in effect.usable_shapes(ALL - others)
     assert source not in effect.usable_shapes(ALL - {source})
-    assert set(SOURCES[source]) <= set(effect.wanted_roles)
+    others_known = frozenset(effect.needs)
+    assert set(SOURCES[source]) <= set(effect.wanted(others_known).split(" or "))
 
 
 def test_what_is_missing_can_be_named():
     for effect in CATALOGUE:
         needs = [quantity for quantity in effect.needs if quantity not in ALWAYS_KNOWN]
-        assert effect.usable_shapes(ALWAYS_KNOWN) or effect.wanted_roles, effect.name
-        assert all(set(SOURCES[quantity]) <= set(effect.wanted_roles) for quantity in needs)
-    assert set(BY_NAME["cornering"].wanted_roles) == {Role.LATERAL_ACCELERATION, Role.YAW_RATE}
+        assert effect.usable_shapes(ALWAYS_KNOWN) or effect.wanted(ALWAYS_KNOWN), effect.name
+        assert all(" or ".join(SOURCES[quantity]) in effect.wanted(ALWAYS_KNOWN) for quantity in needs)
+        assert effect.wanted(ALL) == ""
+    assert BY_NAME["cornering"].wanted(ALWAYS_KNOWN) == "lateral_acceleration or yaw_rate"
+    loss = BY_NAME["regeneration_loss"]
+    assert loss.wanted(ALWAYS_KNOWN) == "battery_current, and brake_switch or brake_pedal"
+    assert loss.wanted({*ALWAYS_KNOWN, Quantity.BRAKE}) == "battery_current"
 
 
 STANDSTILL = replace(view(), v=np.full(3000, 1e-9), P=np.zeros(3000))
@@ -300,7 +305,8 @@ def test_the_page_has_every_effect_with_what_it_needs():
         assert effect.equation in rows[0]
         assert effect.unit in rows[0]
         assert effect.shown_by in rows[1]
-        assert all(f"`{role.value}`" in rows[1] for role in effect.wanted_roles)
+        needed = [*effect.needs, *(shape for shape in effect.shapes if isinstance(shape, Quantity))]
+        assert all(f"`{role.value}`" in rows[1] for quantity in needed for role in SOURCES.get(quantity, ()))
 
 
 def example() -> Effect:

@@ -187,6 +187,13 @@ def test_a_probability_stands_beside_the_names_that_it_is_of() -> None:
     assert "<h3>warm up (or oil warm up)</h3>" in page(changed(effects=(either,)))
 
 
+def test_evidence_that_is_not_reported_has_its_reason() -> None:
+    reason = "as errors in the form of the effects found may give"
+    assert reason not in page(changed(remaining_log_bayes_factor=1.2))
+    assert f"+18, {reason}" in page(changed(remaining_log_bayes_factor=18.0))
+    assert reason not in page(changed(remaining_log_bayes_factor=18.0, remaining_verdict=Verdict.UNKNOWN))
+
+
 @pytest.mark.parametrize(
     ("d", "sentence"),
     [

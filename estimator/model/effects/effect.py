@@ -198,11 +198,17 @@ class Effect:
         """Largest plausible magnitude for a vehicle with ``road_load`` = [A, C, m]."""
         return USUAL_TO_LARGEST * self.usual_magnitude(road_load) if self.max_size is None else self.max_size
 
-    @property
-    def wanted_roles(self) -> tuple[Role, ...]:
-        """Roles to name in a message; at least one of them is needed."""
-        quantities = [*self.needs, *(shape for shape in self.shapes if isinstance(shape, Quantity))]
-        return tuple(role for quantity in quantities for role in SOURCES.get(quantity, ()))
+    def wanted(self, known: Set[Quantity]) -> str:
+        """Roles that it lacks beside the quantities ``known``: "battery_current, and brake_switch or brake_pedal".
+
+        Signals that show when it acts are wanted where it has no other shape, or where nothing else is missing.
+        """
+        shapes = [shape for shape in self.shapes if isinstance(shape, Quantity)]
+        groups = [[quantity] for quantity in self.needs if quantity not in known]
+        if shapes and not known & set(shapes) and (not groups or len(shapes) == len(self.shapes)):
+            groups.append(shapes)
+        roles = [[role.value for quantity in group for role in SOURCES.get(quantity, ())] for group in groups]
+        return ", and ".join(" or ".join(group) for group in roles if group)
 
     @property
     def is_streaming(self) -> bool:
@@ -215,6 +221,5 @@ def obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
     """Reason why an effect cannot be in the streaming model with the quantities ``known``; empty if all can."""
     for effect in effects:
         if not effect.streaming_shapes(known):
-            wanted = " or ".join(role.value for role in effect.wanted_roles)
-            return f"the effect {effect.name} needs {wanted}, which the bus does not carry"
+            return f"the effect {effect.name} needs {effect.wanted(known)}, which the bus does not carry"
     return ""

@@ -95,7 +95,7 @@ LOAD_LOSS = Effect(
     power=lambda view, shape: view.P**2 / view.v,
     usual_magnitude=lambda road_load: 1e-6 * TYPICAL_MASS / float(road_load[2]),
     is_noisy=True,
-    shown_by="the speed of a wheel that is not driven, or GPS speed",
+    shown_by="the speed of a wheel that is not driven",
 )
 
 AUXILIARY_LOAD = Effect(

@@ -60,7 +60,7 @@ SPEED_SCALE = Effect(
     positive=False,
     is_absorbed=True,
     equivalent=("torque_gain",),
-    shown_by="GPS speed or distance on the bus",
+    shown_by="a distance that is known, as by GPS or from a map",
 )
 
 TIME_LAG = Effect(
