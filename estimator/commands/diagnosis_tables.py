@@ -38,7 +38,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
     steps = wording.ladder(d)
     if steps:
         residual = ", ".join(f"{name} {wording.kilowatts(rms)}" for name, rms in steps)
-        yield "residual", f"{residual}; noise floor {wording.kilowatts(d.noise_floor)}"
+        yield "residual", f"{residual}; noise floor {wording.kilowatts(d.noise_floor)} (rms of means over 2 s)"
     for effect in d.effects:
         yield "found", _found(effect, len(d.logs) > 1)
     if d.effects and d.base is not None and d.final is not None:

@@ -56,10 +56,11 @@ def _print_fit(console: Console, run: Run) -> None:
     if evidence is not None:
         say(console, f"lag       power comes {evidence.lag:.2f} s after speed, and has been aligned")
     c, k = final.coverage, final.convergence
-    say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
+    if c.available:
+        say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
     if k is not None and final.rms is not None:
         chains = f"R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted"
-        say(console, f"sampler   {chains}; residual {final.rms / 1e3:.1f} kW rms")
+        say(console, f"sampler   {chains}; residual {final.rms / 1e3:.1f} kW (rms of means over 1 s)")
     if final.load is not None:
         change, load = final.load, "the load changed" if final.load.probability > 0.5 else "the load is the same"
         sure = max(change.probability, 1 - change.probability)

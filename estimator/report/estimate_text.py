@@ -25,7 +25,8 @@ def lines_of(estimate: Estimate, rejected: Mapping[str, int]) -> Iterator[str]:
         area = drag_area(estimate.C, estimate.air_density)
         yield f"c_d A     {with_interval(area.mean, area.q05, area.q95, 'm²')}"
     cells = estimate.coverage
-    yield f"coverage  {100 * cells.fraction:.0f} % ({cells.occupied} of {cells.available} reachable cells)"
+    if cells.available:
+        yield f"coverage  {100 * cells.fraction:.0f} % ({cells.occupied} of {cells.available} reachable cells)"
     total = estimate.admitted + sum(rejected.values())
     reasons = sorted(rejected.items(), key=lambda pair: -pair[1])[:MOST]
     unused = ", ".join(f"{reason} {100 * count / total:.0f} %" for reason, count in reasons if count)
