@@ -17,7 +17,7 @@ HEADLINE = Cells(
         "two effects: both named",
         "processor time for a log, 95 %",
     ),
-    columns=("value", "95 % interval", "drives"),
+    columns=("value", "95 % interval"),
 )
 
 
