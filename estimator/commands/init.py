@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     Raises
     ------
     ConfigError
-        No database is given, more than one log is, none of its messages comes in the log, or the output exists.
+        No database is given, more than one log is, nothing of it comes in the log, or the output exists.
     """
     databases, log = _inputs(options.file)
     output: Path | None = options.output
@@ -45,8 +45,8 @@ def run(options: argparse.Namespace) -> int:
     if log is not None:
         with progress_bar("reading") as progress:
             found = survey(log, [candidate for fit in by_role.values() for candidate in fit], progress)
-        if not found.is_by_group and not any(presence.readings for presence in found.presences.values()):
-            raise ConfigError(f"{log}: no message of {databases[0]} comes in it; give the database of this vehicle")
+        if by_role and not found.presences and not found.is_by_group:
+            raise ConfigError(f"{log}: nothing of {databases[0]} that is of use comes in it; is it of this vehicle?")
     text = proposal(databases, by_role, found, log)
     for remark in database.remarks:
         complain(f"note: {remark}")

@@ -104,8 +104,16 @@ def test_a_log_without_a_message_of_the_database_is_refused(tmp_path: Path, cli:
     output = tmp_path / "car.toml"
     code, _, err = cli("init", car(tmp_path), EXAMPLE / "van.blf", "-o", output)
     assert code == 2
-    assert f"van.blf: no message of {car(tmp_path)} comes in it" in err
+    assert f"van.blf: nothing of {car(tmp_path)} that is of use comes in it" in err
     assert not output.exists()
+
+
+def test_a_database_without_a_useful_signal_is_proposed_with_what_is_to_be_written(tmp_path: Path, cli: Cli) -> None:
+    database = tmp_path / "door.dbc"
+    database.write_text('VERSION ""\nBO_ 256 DOOR: 8 X\n SG_ Open : 0|1@1+ (1,0) [0|1] "" X\n')
+    code, out, _ = cli("init", database, EXAMPLE / "van.blf")
+    assert code == 0
+    assert "# No signal was found for speed" in out
 
 
 @pytest.mark.parametrize(
