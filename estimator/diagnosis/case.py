@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
 from estimator.components.term import Frame, term_of
-from estimator.estimation.gate import wrong_power
+from estimator.estimation.gate import wrong_sign_of, wrong_unit_of
 from estimator.estimation.road_fit import RoadFit, fit
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.shapes import fitted_with_shapes, terms_of
@@ -46,7 +46,8 @@ class Case:
         if reason := obstacle(tuple(given), drive.known_quantities):
             return reason
         driven = drive.strides[drive.strides.known]
-        if reason := wrong_power(driven.power / driven.speed, driven.a, drive.config.prior.mass_kg[0]):
+        lightest, force = drive.config.prior.mass_kg[0], driven.power / driven.speed
+        if reason := wrong_sign_of(driven.power, driven.a) or wrong_unit_of(force, driven.a, lightest):
             return reason
         moving = [effect for effect in given if not (effect.is_gravity or effect.is_absorbed)]
         terms = _terms(drive, moving) if moving else ()

@@ -2,7 +2,8 @@
 
 `missing_rows` tests for enough driving; `obstacle_to_estimate` for enough of the reachable speed-acceleration cells
 and a small enough predicted standard deviation. Both return the reason of a failure, else an empty string. `has_news`
-tests for enough rows since the last estimate, `wrong_power` for acceleration without enough power.
+tests for enough rows since the last estimate, `wrong_sign_of` for acceleration without power, `wrong_unit_of`
+for acceleration with too little.
 """
 
 from collections import Counter
@@ -92,19 +93,25 @@ def has_news(config: GateConfig, added: int, at_last_estimate: int, held: int) -
     return added - at_last_estimate >= max(config.new_samples * held, 1)
 
 
-def wrong_power(force: Floats, acceleration: Floats, lightest: float) -> str:
-    """Message if the sign or the unit of the power cannot be right; else empty.
+def wrong_sign_of(power: Floats, acceleration: Floats) -> str:
+    """Message if ``power`` (n,) [W] is not positive at positive ``acceleration`` (n,) [m/s^2]; else empty."""
+    pulling = power[acceleration > MIN_PULLING_ACCELERATION]
+    if len(pulling) and np.median(pulling) <= 0:
+        return "power is not positive while the vehicle accelerates: check the sign of the torque"
+    return ""
 
-    A ``force`` (n,) [N] is more than mass times ``acceleration`` (n,) [m/s^2] while the vehicle pulls, but downhill.
-    No vehicle is lighter than the ``lightest`` [kg].
+
+def wrong_unit_of(force: Floats, acceleration: Floats, lightest: float) -> str:
+    """Message if the unit of the power cannot be right, which gives the ``force`` (n,) [N]; else empty.
+
+    The force is more than mass times ``acceleration`` (n,) [m/s^2] while the vehicle pulls, but downhill. No vehicle
+    has less than the ``lightest`` mass [kg].
     """
     is_pulling = acceleration > MIN_PULLING_ACCELERATION
     if not is_pulling.any():
         return ""
-    usual, most = np.quantile(force[is_pulling] / acceleration[is_pulling], [0.5, PEAK_QUANTILE]).tolist()
-    if usual <= 0:
-        return "power is not positive while the vehicle accelerates: check the sign of the torque"
-    if most < lightest:
-        least = f"prior.mass_kg, which begins at {lightest:g} kg"
-        return f"power accelerates at most {most:.3g} kg: check its unit, or {least}"
-    return ""
+    most = float(np.quantile(force[is_pulling] / acceleration[is_pulling], PEAK_QUANTILE))
+    if most >= lightest:
+        return ""
+    least = f"prior.mass_kg, which begins at {lightest:,.0f} kg"
+    return f"power accelerates at most {most:,.0f} kg: check its unit, or {least}"

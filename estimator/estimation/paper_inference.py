@@ -17,7 +17,7 @@ from estimator.config import Config
 from estimator.estimates import PARAMETERS, Coverage, Estimate, Status
 from estimator.estimation import posterior
 from estimator.estimation.evidence import Evidence, Trace
-from estimator.estimation.gate import Gate, Judged, wrong_power
+from estimator.estimation.gate import Gate, Judged, wrong_sign_of, wrong_unit_of
 from estimator.estimation.load_segments import Loads, Segment
 from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.window import Window
@@ -97,10 +97,10 @@ class PaperInference:
             return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held)
 
         lower, upper = posterior.box(self._config.prior)
-        if reason := self._gate.missing_rows(held, rejected) or wrong_power(
-            driven.power / driven.speed, driven.a, float(lower[2])
-        ):
+        if reason := self._gate.missing_rows(held, rejected) or wrong_sign_of(driven.power, driven.a):
             return withheld(reason)
+        if reason := wrong_unit_of(driven.power / driven.speed, driven.a, float(lower[2])):
+            return withheld(reason, status=Status.INVALID)
         X, P = design(pulling.speed, pulling.a, pulling.relative_density), pulling.power
         target = ClippedGaussianTarget(X, P, lower, upper)
         judged = Judged(target.centre, np.sqrt(np.diag(target.curvature(target.centre[None])[0])))

@@ -27,7 +27,7 @@ from estimator.estimation import posterior
 from estimator.estimation.belief import Belief
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
 from estimator.estimation.gain_changes import gain_changes
-from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_power
+from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_sign_of, wrong_unit_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit, fit, fit_given
@@ -177,8 +177,10 @@ class RoadInference:
         if reason := self._gate.missing_rows(held, rejected):
             return withheld(reason)
         driven = strides[strides.known]
-        if reason := wrong_power(driven.power / driven.speed, driven.a, self._config.prior.mass_kg[0]):
+        if reason := wrong_sign_of(driven.power, driven.a):
             return withheld(reason)
+        if reason := wrong_unit_of(driven.power / driven.speed, driven.a, self._config.prior.mass_kg[0]):
+            return withheld(reason, status=Status.INVALID)
         found = self._fit(strides, held)
         if found is None:
             return withheld("speed and acceleration varied too little to tell A, C and m apart")

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from estimator.estimates import Coverage
-from estimator.estimation.gate import MIN_PULLING_ACCELERATION, Gate, Judged, has_news, wrong_power
+from estimator.estimation.gate import MIN_PULLING_ACCELERATION, Gate, Judged, has_news, wrong_sign_of, wrong_unit_of
 from estimator.estimation.window import Grid
 from estimator.settings import Gate as GateConfig
 
@@ -114,17 +114,18 @@ def test_news():
 
 
 def test_power_that_is_negative_while_the_vehicle_accelerates_has_the_wrong_sign():
-    pulling, force = np.full(9, 1.1 * MIN_PULLING_ACCELERATION), np.arange(9.0) + 1e3
-    assert wrong_power(force, pulling, 500.0) == ""
-    assert "sign of the torque" in wrong_power(-force, pulling, 500.0)
-    assert wrong_power(-force, 0.9 * pulling / 1.1, 500.0) == ""  # gravity may accelerate it
-    assert wrong_power(np.where(np.arange(9) < 4, -force, force), pulling, 500.0) == ""  # not most of it
-    assert wrong_power(force[:0], pulling[:0], 500.0) == ""
+    pulling, power = np.full(9, 1.1 * MIN_PULLING_ACCELERATION), np.arange(9.0) + 1e3
+    assert wrong_sign_of(power, pulling) == ""
+    assert "sign of the torque" in wrong_sign_of(-power, pulling)
+    assert wrong_sign_of(-power, 0.9 * pulling / 1.1) == ""  # gravity may accelerate it
+    assert wrong_sign_of(np.where(np.arange(9) < 4, -power, power), pulling) == ""  # not most of it
+    assert wrong_sign_of(power[:0], pulling[:0]) == ""
 
 
 def test_power_that_is_too_small_for_any_vehicle_has_the_wrong_unit():
     acceleration = np.linspace(0.0, 1.5, 40)
     force = 2_800.0 * acceleration + 500.0
-    assert wrong_power(force, acceleration, 500.0) == ""
-    assert wrong_power(np.where(np.arange(40) < 30, 0.1, force), acceleration, 500.0) == ""  # mostly downhill
-    assert "check its unit" in wrong_power(force / 1e3, acceleration, 500.0)
+    assert wrong_unit_of(force, acceleration, 500.0) == ""
+    assert wrong_unit_of(np.where(np.arange(40) < 30, 0.1, force), acceleration, 500.0) == ""  # mostly downhill
+    assert "at most 7 kg: check its unit" in wrong_unit_of(force / 1e3, acceleration, 500.0)
+    assert wrong_unit_of(force[:0], acceleration[:0], 500.0) == ""
