@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from shlex import quote
 
 from estimator.can_io.binding import load_database
 from estimator.can_io.role_candidates import candidates
@@ -46,7 +47,8 @@ def run(options: argparse.Namespace) -> int:
         with progress_bar("reading") as progress:
             found = survey(log, [candidate for fit in by_role.values() for candidate in fit], progress)
         if by_role and not found.presences and not found.is_by_group:
-            raise ConfigError(f"{log}: nothing of {databases[0]} that is of use comes in it; is it of this vehicle?")
+            names = ", ".join(map(str, databases))
+            raise ConfigError(f"{log}: nothing of {names} that is of use comes in it; is it of this vehicle?")
     text = proposal(databases, by_role, found, log)
     for remark in database.remarks:
         complain(f"note: {remark}")
@@ -55,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     with whole(output) as file:
         file.write(text.encode())
-    shown = f"roadload check {log or 'LOG'} --config {output}"
+    shown = f"roadload check {quote(str(log or 'LOG'))} --config {quote(str(output))}"
     complain(f"note: {output} is written; look at its signals, then run {shown}")
     return 0
 

@@ -38,15 +38,17 @@ class Input:
     def describe(self, end: float, start: float) -> InputAnswer:
         """Describe the readings, at least one, of a log from ``start`` to ``end`` [s]."""
         t, value = np.concatenate(self.times), np.concatenate(self.values)
-        period = float(np.median(np.diff(t))) if len(t) > 1 else float("inf")
+        steps = np.diff(t)
+        steps = steps[steps > 0]
+        period = float(np.quantile(steps, 0.75)) if len(steps) else float("inf")  # frames may come in pairs
         finite = value[np.isfinite(value)]
         edges = np.append(t, end)
         long = np.diff(edges) > max(MIN_GAP_PERIODS * period, MIN_GAP)
-        heard = np.diff(t)[~long[:-1]]
+        heard = steps[steps <= max(MIN_GAP_PERIODS * period, MIN_GAP)]
         return InputAnswer(
             signal=self.name,
             readings=len(t),
-            rate_Hz=round(len(heard) / float(heard.sum()), 3) if heard.any() else None,
+            rate_Hz=round(len(heard) / float(heard.sum()), 3) if len(heard) else None,
             not_available=round(1 - len(finite) / len(t), 6),
             minimum=float(finite.min()) if len(finite) else None,
             maximum=float(finite.max()) if len(finite) else None,

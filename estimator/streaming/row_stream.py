@@ -225,7 +225,10 @@ class RowStream:
             A needed signal never came, never with a valid value, or too seldom to be used.
         """
         if not self.frames:
-            raise MissingInputsError(f"{source}: no frame came; check the bit rate, the wiring and the filters")
+            checks = "check the bit rate, the wiring and the filters"
+            if any(message.of_any_ecu for message in self._messages):
+                checks += f"; {advice(self._missing_roles(), (), self._messages, 0, self._config)}"
+            raise MissingInputsError(f"{source}: no frame came; {checks}")
         if not self.valid_rows and (reason := self._too_seldom()):
             raise MissingInputsError(f"{source}: {reason}")
         if missing := self._missing_roles():

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import can
@@ -13,14 +14,17 @@ import numpy as np
 import pytest
 from failures import Cli, fails
 
+from estimator import config
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import open_log
 from estimator.commands.main import main
+from estimator.config import Config
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
+from estimator.streaming.inspection import Input, Inspection
 
 
 @pytest.fixture(scope="module")
@@ -241,10 +245,25 @@ def test_a_bus_that_is_not_j1939_is_shown_the_way_to_a_configuration(cli: Cli, t
     assert f"most frequent ids: 123 ({len(traffic):,} frames)" in cli("inspect", tmp_path / "a.blf")[1]
 
 
-def test_a_silent_bus_is_told(cli: Cli) -> None:
-    code, out, _ = cli("check", "-i", "virtual", "-c", "silent", "--seconds", "1", "--json")
-    assert (code, json.loads(out)["frames"]["read"]) == (1, 0)
-    assert "no frame came" in json.loads(out)["reason"]
+def test_a_silent_bus_is_told() -> None:
+    silent = Inspection(Config()).report("can0", Counter())
+    assert silent.reason == "can0: no frame came; check the bit rate, the wiring and the filters"
+    asked = Inspection(config.load("obd2")).report("can0", Counter())
+    assert "the logger has to ask for PID 0x0D" in asked.reason
+    assert not silent.usable
+
+
+@pytest.mark.parametrize(
+    ("t", "rate"),
+    [
+        (np.sort(np.concatenate([np.arange(100) / 24, np.arange(100) / 24 + 0.005])), 48.0),
+        (np.concatenate([np.arange(1100, 1110, 0.5), np.arange(1050, 1100, 0.5)]), 2.0),
+        (np.concatenate([np.arange(0, 10, 0.1), np.arange(60, 70, 0.1)]), 10.0),
+    ],
+    ids=["pairs", "step back", "gap"],
+)
+def test_rates_are_those_of_the_time_in_which_a_signal_comes(t: np.ndarray, rate: float) -> None:
+    assert Input("X.x", [t], [t]).describe(float(t[-1]), float(t[0])).rate_Hz == pytest.approx(rate, rel=0.02)
 
 
 def test_unestimated_says_what_to_do(cli: Cli, log: Path) -> None:
