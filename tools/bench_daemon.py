@@ -121,19 +121,23 @@ def run_one(
         port = free_port()
         command = [sys.executable, "-m", PROGRAMS[name], str(port), str(folder), *options]
         environment = child_environment()
-        with (folder / "log").open("w") as log, subprocess.Popen(command, env=environment, stderr=log) as subject:
+        with (
+            (folder / "log").open("w") as log,
+            subprocess.Popen(command, env=environment, stderr=log) as subject,
+            Quota(subject.pid, share) if share < 1.0 else nullcontext(),
+        ):
             try:
                 wait_until_bound(port, subject, folder)
                 before = cpu_seconds(subject.pid)
                 sender = [sys.executable, "-m", "full_bus.traffic", str(folder / "load.npz"), str(port)]
-                with Quota(subject.pid, share) if share < 1.0 else nullcontext():
-                    done = subprocess.run(sender, env=environment, check=True, capture_output=True, text=True)
+                done = subprocess.run(sender, env=environment, check=True, capture_output=True, text=True)
                 sent = json.loads(done.stdout)
                 used = cpu_seconds(subject.pid) - before
                 time.sleep(2.0)  # for the last status
                 peak = peak_memory(subject.pid)
             finally:
                 subject.send_signal(signal.SIGTERM)
+                subject.wait()
         result = json.loads((folder / "result.json").read_text())
     rates = {"cpu": used / sent["seconds"], "rate": sent["frames"] / sent["seconds"]}
     return {**result, **rates, "sent": sent["frames"], "peak_MiB": peak}
