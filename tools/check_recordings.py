@@ -44,7 +44,7 @@ Row = dict[str, Any]  # cells by column: text, or a number in the unit of the co
 def share_promised(answer: DiagnosisAnswer) -> float | None:
     """Share of the squared residual that is of what is named: what exact signals of all that would remove.
 
-    Effects of the configuration are in the model already: their parts are left out.
+    Effects that are in the model and not named are left out of the whole.
     """
     shares = {part.cause: part.share or 0.0 for part in answer.budget}
     chosen = {part.cause for part in answer.budget if part.reached_kW is not None}
@@ -300,10 +300,8 @@ def _promises(name: str, shown: str, rows: list[Row]) -> Row:
     missed = [row["reached [%]"] - row["promised [%]"] for row in rows if row["promised [%]"]]
     return {
         "": f"{name}: {shown} revealed",
-        "diagnosed": len(rows),
-        "an effect named": sum(
-            "cannot" not in row["named, withheld"] and "gap" not in row["named, withheld"] for row in rows
-        ),
+        "diagnosed": sum(row["kW before"] is not None for row in rows),
+        "an effect named": sum(row["named, withheld"] not in VERDICTS for row in rows),
         "promised": len(missed),
         "reached less promised, median": float(np.median(missed)) if missed else None,
         "worst [points]": min(missed, default=None),
@@ -318,7 +316,7 @@ CHECK = Check(
     title="Real recordings",
     measure=measure,
     tables=tables,
-    headline=Cells(),
+    headline=Cells(table="Summary"),
     options=add_options,
 )
 

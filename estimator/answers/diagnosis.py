@@ -87,7 +87,7 @@ class Remaining(Struct, frozen=True, kw_only=True):
 
 
 class Part(Struct, frozen=True, kw_only=True):
-    """Share of one cause in the plain model's residual, with its 90 % interval."""
+    """Share of one cause in the residual of the model with the given effects, with its 90 % interval."""
 
     cause: str
     share: float | None

@@ -9,8 +9,9 @@ Least squares fits the columns of the plain road load to P. With M the projectio
     r = M P = sum of M effects + M (m g theta v) + M errors.
 
 For every draw from the posterior of amplitudes, road and errors the parts sum to r exactly. The share of a part is
-mean(r part) / mean(r^2), over means of 2 s; the shares sum to one. Effects that are possible but not chosen (such as a
-weak wind) are drawn too, each with its prior. They widen the interval of the road.
+mean(r part) / mean(r^2), over means of 2 s; the shares sum to one. What the model has of a given cause is taken off r
+and off the part, which is then its error. Effects that are possible but not chosen (such as a weak wind) are drawn too,
+each with its prior. They widen the interval of the road.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence

@@ -77,7 +77,7 @@ class Decision:
 
     @cached_property
     def plain_road_load(self) -> tuple[Shift, Shift]:
-        """A, C, m of the plain model of the longest drive, and their sd; the budget splits its residual."""
+        """A, C, m of the plain model of the longest drive, and their sd."""
         (A, C, m), (dA, dC, dm) = (values.tolist() for values in PlainModel(self.longest.fit).road_load)
         return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
 

@@ -228,7 +228,7 @@ class Diagnosis:
     experiments: tuple[Experiment, ...] = ()
     p_value: float | None = None  # share of records of noise with as much evidence of an effect
     streaming_effects: tuple[str, ...] = ()  # effects to configure; empty: none to add
-    budget: Budget | None = None  # of the plain model's residual
+    budget: Budget | None = None  # of the residual of the plain model with the given effects
     gap_map: GapMap | None = None
     traces: Traces | None = None
     logs: tuple[str, ...] = field(default=())

@@ -72,19 +72,19 @@ def reason(d: Diagnosis) -> str:
 
 
 def with_exact_road(d: Diagnosis, rms: float | None) -> str:
-    """A residual ``rms`` [W], and the smaller one that would be left if the road were known exactly."""
+    """A residual ``rms`` [W] of the model without effects, and the smaller one that an exact road would leave."""
     road = None if d.budget is None else d.budget.part(ROAD)
-    if rms is None or road is None or kilowatts(road.expected) == kilowatts(rms):
+    if rms is None or road is None or d.effects or road.expected >= rms:
         return kilowatts(rms)
     return f"{kilowatts(rms)} ({kilowatts(road.expected)} if its road were exact)"
 
 
 def strength_of_rest(d: Diagnosis) -> str:
-    """Log Bayes factor of the best further explanation; a large one that is not reported has its reason."""
+    """Log Bayes factor of the best further explanation; a large one beside effects that is dismissed has its reason."""
     best = d.remaining_log_bayes_factor
     is_large = best is not None and best > THRESHOLDS.min_log_bf_unknown
-    is_dismissed = is_large and d.remaining_verdict is Verdict.NO_GAP
-    return bayes(best) + (", as errors in the form of the effects found may give" if is_dismissed else "")
+    is_dismissed = is_large and bool(d.effects) and d.remaining_verdict is Verdict.NO_GAP
+    return bayes(best) + (", too little beside effects whose form is not exact" if is_dismissed else "")
 
 
 def formula(d: Diagnosis) -> str:

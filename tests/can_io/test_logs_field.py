@@ -261,7 +261,7 @@ def test_asc_in_utf_16_and_with_commas_in_the_times(tmp_path: Path, order: str, 
     assert log.skipped == {"remote frame": 1}
 
 
-def test_a_decoded_table_is_no_log_and_the_message_shows_the_command() -> None:
+def test_a_decoded_table_is_no_log_and_the_message_shows_the_options() -> None:
     path = LOGS / "decoded.csv"
     assert refusal(path) == (
         f"{path}: a table of decoded values, not a log of frames (its columns: 'time,speed_kmh,power_kw,altitude_m'); "

@@ -188,10 +188,12 @@ def test_a_probability_stands_beside_the_names_that_it_is_of() -> None:
 
 
 def test_evidence_that_is_not_reported_has_its_reason() -> None:
-    reason = "as errors in the form of the effects found may give"
+    reason = "too little beside effects whose form is not exact"
     assert reason not in page(changed(remaining_log_bayes_factor=1.2))
     assert f"+18, {reason}" in page(changed(remaining_log_bayes_factor=18.0))
     assert reason not in page(changed(remaining_log_bayes_factor=18.0, remaining_verdict=Verdict.UNKNOWN))
+    alone = changed(remaining_log_bayes_factor=18.0, effects=(), verdict=Verdict.NO_GAP)
+    assert reason not in page(alone)
 
 
 @pytest.mark.parametrize(
