@@ -124,7 +124,7 @@ def budget(
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
     ]
     residuals = tuple(_residuals(drive_powers, given) for drive_powers in powers)
-    residual = np.concatenate([drive_powers.residual for drive_powers in powers])
+    residual = np.concatenate([residual_of_drive.given for residual_of_drive in residuals])
     drawn = _concatenated(
         [drive_powers.draws for drive_powers in powers],
         [np.zeros((len(drive_powers.residual), DRAWS)) for drive_powers in powers],
@@ -134,8 +134,7 @@ def budget(
         [np.zeros(len(drive_powers.residual)) for drive_powers in powers],
     )
     for cause in [cause for cause in held_out if cause in given]:
-        known = held_out.pop(cause)
-        residual, drawn[cause] = residual - known, drawn[cause] - known[:, None]
+        drawn[cause] = drawn[cause] - held_out.pop(cause)[:, None]
     chosen = {term.name for drive in drives for term in drive.chosen}
     not_chosen = dict.fromkeys(term.name for terms in possible for term in terms if term.name not in chosen)
     _pool_small(drawn, residual, not_chosen)

@@ -43,8 +43,8 @@ class Input:
         period = float(np.quantile(steps, 0.75)) if len(steps) else float("inf")  # frames may come in pairs
         finite = value[np.isfinite(value)]
         edges = np.append(t, end)
-        long = np.diff(edges) > max(MIN_GAP_PERIODS * period, MIN_GAP)
-        heard = steps[steps <= max(MIN_GAP_PERIODS * period, MIN_GAP)]
+        longest = max(MIN_GAP_PERIODS * period, MIN_GAP)
+        long, heard = np.diff(edges) > longest, steps[steps <= longest]
         return InputAnswer(
             signal=self.name,
             readings=len(t),
