@@ -87,7 +87,7 @@ class Remaining(Struct, frozen=True, kw_only=True):
 
 
 class Part(Struct, frozen=True, kw_only=True):
-    """Share of one cause in the residual of the model with the given effects, with its 90 % interval."""
+    """Share of one cause in the residual, with its 90 % interval; of a ``given`` cause, share of its error."""
 
     cause: str
     share: float | None
@@ -96,10 +96,14 @@ class Part(Struct, frozen=True, kw_only=True):
     rms_kW: float | None
     reached_kW: float | None
     expected_kW: float | None
+    given: bool = False
 
 
 class Parameters(Struct, frozen=True, kw_only=True):
-    """A, C and mass of the plain model, and their averages over the possible hypotheses; null without a fit."""
+    """A, C and mass, and their averages over the possible hypotheses; null without a fit.
+
+    ``base``: of the plain model, or of the fit with the effects that the configuration gives.
+    """
 
     base: RoadLoad | None
     base_sd: RoadLoad | None
@@ -179,6 +183,7 @@ class Experiment(Struct, frozen=True, kw_only=True):
 class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
     """Verdict and evidence; ``effects`` are those that are named, ``candidates`` all of them, each alone.
 
+    ``given``: effects that the configuration has in the model.
     ``p_value``: share of records of noise alone in which an effect has as much evidence; null unless asked for.
     ``doubts``: why the logs may not be of one vehicle.
     """
@@ -204,3 +209,4 @@ class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
     logs: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     references: References = References()
+    given: tuple[str, ...] = ()

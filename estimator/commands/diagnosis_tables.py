@@ -88,7 +88,7 @@ def _budget(budget: Budget) -> Table:
     for part in budget.parts:
         share = wording.interval(GapClosed(part.share, part.q05, part.q95))
         powers = [wording.kilowatts(power) for power in (part.rms, part.held_out_rms, part.expected)]
-        table.add_row(*map(Text, (wording.label(part.cause), share, *powers)))
+        table.add_row(*map(Text, (wording.cause(part), share, *powers)))
     return table
 
 

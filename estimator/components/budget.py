@@ -42,7 +42,7 @@ FOLDS, STRETCH = 3, 60  # and strides per stretch: longer than the memory of noi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Contribution of one cause to the gap; of a given one, what the model has wrong of it.
+    """Contribution of one cause to the gap; of one that ``is_given``, what the model has wrong of it.
 
     ``share`` of the mean square of the residual with the given causes, with its 90 % interval; ``rms`` [W] of the
     contribution. ``held_out_rms`` [W]: held-out residual rms of the model with the given causes and this one; None of a
@@ -52,6 +52,7 @@ class Part:
     """
 
     cause: str
+    is_given: bool
     share: float
     q05: float
     q95: float
@@ -143,7 +144,7 @@ def budget(
     found_share = all_but_noise - sum(
         (shares[cause] for cause in (*not_chosen, OTHERS) if cause in shares), np.zeros(DRAWS)
     )
-    parts = [_part(cause, residual, drawn, held_out, (found_share, all_but_noise)) for cause in drawn]
+    parts = [_part(cause, cause in given, residual, drawn, held_out, (found_share, all_but_noise)) for cause in drawn]
     base, held_out_rms = _rms(residual), _rms(_without(residual, held_out, held_out))
     return Budget(
         base=base,
@@ -201,6 +202,7 @@ def _rms(values: Floats) -> float:
 
 def _part(
     cause: str,
+    is_given: bool,
     residual: Floats,
     drawn: Mapping[str, Floats],
     held_out: Mapping[str, Floats],
@@ -216,6 +218,7 @@ def _part(
     ends = np.quantile(np.concatenate([closed, doubted]), [0.05, 0.95])
     return Part(
         cause=cause,
+        is_given=is_given,
         closed=(float(closed.mean()), float(ends[0]), float(ends[1])),
         share=mean,
         q05=mean - float(np.hypot(low, form)),

@@ -18,6 +18,7 @@ from estimator.diagnosis.result import Finding, Shift
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.estimation.shapes import averaged
+from estimator.signals import Floats
 
 MIN_LOG_BF_POSSIBLE = -3.0  # log Bayes factor above which an effect that was not chosen is part of the budget
 FORCE_BY_PLACE = "force over distance"  # cause in the budget of slopes that are not those of a road
@@ -26,11 +27,15 @@ MAX_FORM_SHARE = 0.05  # of the evidence of a lag: an error of its form gives ef
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """Verdict and named effects by ``thresholds``, from the ``result`` of a search on ``cases`` and the ``budget``."""
+    """Verdict and named effects by ``thresholds``, from the ``result`` of a search on ``cases`` and the ``budget``.
+
+    ``start``: the fits of the cases without any effect but the given ones, which the search started from.
+    """
 
     result: SearchResult
     budget: Budget
     cases: tuple[Case, ...]
+    start: tuple[DriveState, ...]
     thresholds: Thresholds
 
     @property
@@ -71,20 +76,22 @@ class Decision:
         """
         others = self.result.other_hypotheses[self.result.longest_number]
         fit = averaged(self.longest.strides, self.longest.fit).mixed(others.shift, others.covariance)
-        A, C, m = fit.theta[:ROAD_LOAD].tolist()
-        dA, dC, dm = np.sqrt(np.diag(fit.theta_covariance()))[:ROAD_LOAD].tolist()
-        return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
+        return _stated(fit.theta, np.sqrt(np.diag(fit.theta_covariance())))
 
     @cached_property
-    def plain_road_load(self) -> tuple[Shift, Shift]:
-        """A, C, m of the plain model of the longest drive, and their sd."""
-        (A, C, m), (dA, dC, dm) = (values.tolist() for values in PlainModel(self.longest.fit).road_load)
-        return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
+    def base_road_load(self) -> tuple[Shift, Shift]:
+        """A, C, m of the longest drive by the plain model, or by the fit with the given effects, and their sd."""
+        number = self.result.longest_number
+        if not self.cases[number].given:
+            return _stated(*PlainModel(self.longest.fit).road_load)
+        start = self.start[number]
+        fit = averaged(start.strides, start.fit)
+        return _stated(fit.theta, np.sqrt(np.diag(fit.theta_covariance())))
 
     @property
     def shift(self) -> Shift:
-        """Change of A, C and m from the plain model to the one with the road and all chosen effects."""
-        (base, _), (final, _) = self.plain_road_load, self.road_load
+        """Change of A, C and m from the model of `base_road_load` to the one with the road and all chosen effects."""
+        (base, _), (final, _) = self.base_road_load, self.road_load
         return Shift(mass=final.mass - base.mass, A=final.A - base.A, C=final.C - base.C)
 
     @property
@@ -159,10 +166,22 @@ def _evidence_by_error_of(lag: float | None) -> float:
     return -np.inf if lag is None else MAX_FORM_SHARE * lag
 
 
-def decide(result: SearchResult, cases: tuple[Case, ...], thresholds: Thresholds, rng: np.random.Generator) -> Decision:
+def _stated(road_load: Floats, sd: Floats) -> tuple[Shift, Shift]:
+    """A, C, m and their sd, the first elements of ``road_load`` (p,) and ``sd`` (p,)."""
+    (A, C, m), (dA, dC, dm) = road_load[:ROAD_LOAD].tolist(), sd[:ROAD_LOAD].tolist()
+    return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
+
+
+def decide(
+    result: SearchResult,
+    cases: tuple[Case, ...],
+    start: tuple[DriveState, ...],
+    thresholds: Thresholds,
+    rng: np.random.Generator,
+) -> Decision:
     """Decide on the ``result`` of a search, with the gap split between its effects, processes and road.
 
-    ``rng`` draws from the posterior.
+    ``start``: the fits of the cases that the search started from. ``rng`` draws from the posterior.
     """
     log_bf_lag, unnamed = evidence_of_lag(result), [result.nameless]
     if log_bf_lag is not None and log_bf_low_pass(result):
@@ -182,7 +201,7 @@ def decide(result: SearchResult, cases: tuple[Case, ...], thresholds: Thresholds
         split = split.renamed(ROAD, UNKNOWN + FORCE_BY_PLACE)
     if log_bf_lag is not None:
         split = split.renamed(UNKNOWN + LOW_PASS, lag_effect(result).name)
-    return Decision(result=result, budget=split, cases=cases, thresholds=thresholds)
+    return Decision(result=result, budget=split, cases=cases, start=start, thresholds=thresholds)
 
 
 def _possible(result: SearchResult, number: int) -> list[Term]:

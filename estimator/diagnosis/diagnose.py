@@ -69,7 +69,7 @@ def diagnose(
     fitted, states = fitted_cases(cases)
     if not fitted:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=UNIFORM, not_testable=missing)
-    decision = decide(search(fitted, states, effects, limits), fitted, limits, rng)
+    decision = decide(search(fitted, states, effects, limits), fitted, states, limits, rng)
     diagnosis = _report(decision, effects, missing)
     return replace(diagnosis, p_value=p_value(decision.result, surrogates, rng)) if surrogates else diagnosis
 
@@ -90,7 +90,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
     verdict, result, longest = decision.verdict(), decision.result, decision.longest
     named = named_findings(decision)
     number = result.longest_number
-    base, base_deviation = decision.plain_road_load
+    base, base_deviation = decision.base_road_load
     final, deviation = decision.road_load
     traces = traces_of(decision)
     is_hidden_named = any(finding.magnitude.name == HIDDEN_GRADE for finding in named)
@@ -102,6 +102,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
     addable = facts.streaming_effects(named, decision.cases[number].given)
     return Diagnosis(
         verdict=verdict,
+        given=tuple(effect.name for effect in decision.cases[number].given),
         effects=named,
         candidates=ranking,
         remaining_verdict=remaining,

@@ -63,7 +63,7 @@ class Finding:
     gap_closed: GapClosed | None  # None for candidates, and without a part in the budget
     rms_before: float  # [W], plain model with the given effects
     rms_after: float  # [W], with the effect too, on held-out stretches; rms_before if not computed
-    shift: Shift | None  # from the plain model to the one with all chosen effects; None for candidates
+    shift: Shift | None  # from the model of `base` to the one with all chosen effects; None for candidates
     span: tuple[Span, ...] = ()  # when it acts; empty: always
     detail: str = ""  # fitted shape, e.g. "from 31 deg"
 
@@ -206,6 +206,7 @@ class Diagnosis:
 
     verdict: Verdict
     obstacle: str = ""  # reason why there is no fit
+    given: tuple[str, ...] = ()  # effects that the configuration has in the model
     effects: tuple[Finding, ...] = ()  # named: the road, effects by their evidence, the lag
     candidates: tuple[Finding, ...] = ()  # all effects, each alone, road, lag, unknown effect; best first
     remaining_verdict: Verdict = Verdict.CANNOT_TELL
@@ -216,7 +217,7 @@ class Diagnosis:
     noise_floor: float | None = None  # [W], rms of sensor noise and white force
     rms_base: float | None = None  # [W], plain model with the given effects
     rms_final: float | None = None  # [W], with all chosen effects, on held-out stretches
-    base: Shift | None = None  # A, C, m of the plain model
+    base: Shift | None = None  # A, C, m of the plain model, or of the fit with the given effects
     base_deviation: Shift | None = None  # sd of base
     final: Shift | None = None  # A, C, m with all chosen effects
     deviation: Shift | None = None  # sd of final

@@ -49,7 +49,7 @@ def _verdict(d: Diagnosis) -> str:
 def _sections(d: Diagnosis) -> list[Section]:
     return [
         Section("budget", "What is the residual made of?", _budget(d)),
-        Section("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
+        Section("how-far", "How far does the gap shrink?" if d.effects else "How large is the residual?", _how_far(d)),
         Section("power", "Power, measured and modelled", _power(d)),
         Section("where", "Where does it lie?", _where(d)),
         Section("which", "Which effect?", tables.ranking(d.ranking, len(d.logs) > 1)),
@@ -76,7 +76,10 @@ def _budget(d: Diagnosis) -> str:
 
 def _how_far(d: Diagnosis) -> str:
     bars = figures.bars(d)
-    held = '<p class="soft">Residual, root mean square over held-out stretches; grey is noise, colour is gap.</p>'
+    held = (
+        '<p class="soft">Residual, root mean square over held-out stretches; grey is the noise floor, '
+        "colour what lies above it.</p>"
+    )
     return (
         f'<div class="columns"><div>{bars}{held}</div>{tables.chosen(d)}</div>' if bars else ""
     ) + tables.parameters(d)
@@ -87,17 +90,20 @@ def _power(d: Diagnosis) -> str:
     if traces is None:
         return ""
     most = "the effects change most" if d.effects else "the model misses most"
-    return f'<p class="soft">The five minutes in which {most}.</p>{figures.power(traces, figures.improved(d, traces))}'
+    return (
+        f'<p class="soft">The five minutes in which {most}.</p>'
+        f"{figures.power(traces, wording.base_name(d), figures.improved(d, traces))}"
+    )
 
 
 def _where(d: Diagnosis) -> str:
     parts, traces = [], _complete(d.traces)
     better = None if traces is None else figures.improved(d, traces)
     if d.gap_map is not None:
-        parts.append("<h3>Over speed and acceleration</h3>" + figures.gap_map(d.gap_map, better))
+        parts.append("<h3>Over speed and acceleration</h3>" + figures.gap_map(d.gap_map, wording.base_name(d), better))
     if traces is not None:
         parts.append("<h3>In time</h3>" + figures.in_time(traces, d, better))
-        parts.append("<h3>Along the road</h3>" + figures.along_the_road(traces, better))
+        parts.append("<h3>Along the road</h3>" + figures.along_the_road(traces, d, better))
     if d.where:
         parts.append("<h3>Places that stand out of the noise</h3>" + tables.where(d.where))
     return "".join(parts)

@@ -21,7 +21,7 @@ def power(d: Diagnosis) -> Figure:
     assert d.traces is not None
     t = d.traces.t / 60
     axes.plot(t, d.traces.measured / 1e3, color=MEASURED, lw=0.8, label="measured")
-    axes.plot(t, d.traces.base / 1e3, color=PLAIN, lw=0.6, label="plain model")
+    axes.plot(t, d.traces.base / 1e3, color=PLAIN, lw=0.6, label=wording.base_name(d))
     if better := improved(d, d.traces):
         axes.plot(t, better.power / 1e3, color=WITH_EFFECTS, lw=0.6, label=better.name)
     axes.set_ylabel("power [kW]")
@@ -30,9 +30,9 @@ def power(d: Diagnosis) -> Figure:
 
 
 def gap(d: Diagnosis) -> Figure:
-    """Residual [kW] of the plain model, and with the effects, over the time of the logs [min]."""
+    """Residual [kW] of the model as configured, and with the effects, over the time of the logs [min]."""
     assert d.traces is not None
-    curves = [("plain model", d.traces.base, PLAIN)]
+    curves = [(wording.base_name(d), d.traces.base, PLAIN)]
     if better := improved(d, d.traces):
         curves.append((better.name, better.power, WITH_EFFECTS))
     figure, panels = _figure(len(curves))
@@ -53,7 +53,7 @@ def budget(d: Diagnosis) -> Figure:
     parts = d.budget.parts[::-1] if d.budget is not None else ()
     shares = np.array([100 * part.share for part in parts])
     ends = np.array([[100 * part.q05, 100 * part.q95] for part in parts]).reshape(-1, 2)
-    names = [wording.label(part.cause) for part in parts]
+    names = [wording.cause(part) for part in parts]
     errors = np.abs(ends.T - shares) if len(parts) else None
     axes.barh(names, shares, xerr=errors, color=WITH_EFFECTS, ecolor=MEASURED)
     axes.set_xlabel("share of the residual [%]")

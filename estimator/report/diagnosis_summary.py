@@ -14,6 +14,7 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
     return DiagnosisAnswer(
         verdict=d.verdict,
         reason=wording.reason(d),
+        given=d.given,
         configuration=wording.configuration(d),
         effects=tuple(map(_finding, d.effects)),
         candidates=tuple(map(_finding, d.candidates)),
@@ -77,6 +78,7 @@ def _finding(f: Finding) -> answer.Finding:
 def _part(part: Part) -> answer.Part:
     return answer.Part(
         cause=part.cause,
+        given=part.is_given,
         share=part.share,
         q05=part.q05,
         q95=part.q95,

@@ -3,7 +3,7 @@
 import math
 
 from estimator.answers.diagnosis import Verdict
-from estimator.components.budget import ROAD
+from estimator.components.budget import ROAD, Part
 from estimator.diagnosis.result import (
     EARLY,
     HIDDEN_GRADE,
@@ -29,6 +29,11 @@ PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # na
 def label(name: str) -> str:
     """Name of an effect in a sentence; the configuration keeps its underscores."""
     return name.replace("_", " ")
+
+
+def cause(part: Part) -> str:
+    """Name of a part of the budget; of a given cause the part is the error."""
+    return f"error of {label(part.cause)}" if part.is_given else label(part.cause)
 
 
 def with_equivalents(effect: Finding) -> str:
@@ -60,7 +65,7 @@ def reason(d: Diagnosis) -> str:
         return f"Cannot tell: {d.obstacle}."
     match d.verdict:
         case Verdict.NO_GAP:
-            hidden = f"; too small to see here: {', '.join(i.name for i in d.invisible)}" if d.invisible else ""
+            hidden = f"; too small to see here: {', '.join(label(i.name) for i in d.invisible)}" if d.invisible else ""
             return f"The model describes this drive to {with_exact_road(d, d.rms_base)}{hidden}."
         case Verdict.UNKNOWN:
             size = "" if d.remainder is None else f": {d.remainder.name}, {kilowatts(d.remainder.rms)}"
@@ -73,10 +78,16 @@ def reason(d: Diagnosis) -> str:
 
 def with_exact_road(d: Diagnosis, rms: float | None) -> str:
     """A residual ``rms`` [W] of the model without effects, and the smaller one that an exact road would leave."""
+    left = if_road_were_exact(d)
+    return kilowatts(rms) + ("" if left is None else f" ({kilowatts(left)} if its road were exact)")
+
+
+def if_road_were_exact(d: Diagnosis) -> float | None:
+    """Residual [W] that an exact road would leave the model in which no effect is found; None if it is not smaller."""
     road = None if d.budget is None else d.budget.part(ROAD)
-    if rms is None or road is None or d.effects or road.expected >= rms:
-        return kilowatts(rms)
-    return f"{kilowatts(rms)} ({kilowatts(road.expected)} if its road were exact)"
+    if d.rms_base is None or road is None or d.effects or road.expected >= d.rms_base:
+        return None
+    return road.expected
 
 
 def strength_of_rest(d: Diagnosis) -> str:
@@ -100,9 +111,9 @@ def formula(d: Diagnosis) -> str:
 
 def _doubt(d: Diagnosis) -> str:
     if d.effects:
-        rivals = " or ".join([d.effects[0].name, *d.effects[0].equivalent])
+        rivals = " or ".join(map(label, (d.effects[0].name, *d.effects[0].equivalent)))
         return f"The drive shows {rivals}, and cannot tell which."
-    return f"There may be {d.doubtful}, too weak on this drive to be sure." if d.doubtful else "Cannot tell."
+    return f"There may be {label(d.doubtful)}, too weak on this drive to be sure." if d.doubtful else "Cannot tell."
 
 
 def _improvement(d: Diagnosis) -> str:
@@ -116,7 +127,7 @@ def _improvement(d: Diagnosis) -> str:
             f"{seen}, and no signal on the bus shows it: with one, the residual could fall {fall}; "
             f"roadload estimate counts with such a road by itself.{also}"
         )
-    effects = " and ".join(f"{f.name} ({f.magnitude.name} {_value(f.magnitude)})" for f in d.effects)
+    effects = listed([f"{label(f.name)} ({size(f.magnitude)})" for f in d.effects])
     steps = ladder(d)
     before, after = steps[0][1], steps[-1][1]
     if after >= before:
@@ -128,7 +139,7 @@ def _improvement(d: Diagnosis) -> str:
 
 def advice(d: Diagnosis) -> list[str]:
     """Signals to measure and manoeuvres to drive, by effect, and experiments that likely settle what is open."""
-    signals = [f"{each.name}: {each.shown_by}" for each in d.advice]
+    signals = [f"{label(each.name)}: {each.shown_by}" for each in d.advice]
     return [*signals, *(_experiment(e) for e in d.experiments if is_worthwhile(d, e))]
 
 
@@ -140,7 +151,7 @@ def is_worthwhile(d: Diagnosis, e: Experiment) -> bool:
 
 
 def _experiment(e: Experiment) -> str:
-    pair = f"{e.a} or {e.b}" if e.b else f"{e.a} or nothing"
+    pair = f"{label(e.a)} or {label(e.b) if e.b else 'nothing'}"
     return f"{pair}: {e.what} (log Bayes factor {bayes(e.now)}, to be expected then {bayes(e.expected)})"
 
 
@@ -161,8 +172,13 @@ def is_hidden(effect: Finding) -> bool:
     return effect.magnitude.name == HIDDEN_GRADE
 
 
+def base_name(d: Diagnosis) -> str:
+    """Name of the model that effects are added to: it has those that the configuration gives."""
+    return f"model with {listed([label(name) for name in d.given])}" if d.given else "plain model"
+
+
 def ladder(d: Diagnosis) -> list[tuple[str, float]]:
-    """The residual [W] of the plain model and after each effect that can be added to it.
+    """The residual [W] of the model as configured, and after each effect that can be added to it.
 
     A lag comes first: the others are judged on aligned power.
     """
@@ -175,8 +191,8 @@ def ladder(d: Diagnosis) -> list[tuple[str, float]]:
         after[-1] = d.rms_final
     steps = [(f"+ {label(f.name)}", rms) for f, rms in zip(others, after, strict=True)]
     if late is None:
-        return [("plain model", d.rms_base), *steps]
-    return [("plain model", d.rms_base), (f"+ {label(late.name)}", late.rms_after), *steps]
+        return [(base_name(d), d.rms_base), *steps]
+    return [(base_name(d), d.rms_base), (f"+ {label(late.name)}", late.rms_after), *steps]
 
 
 def percent(fraction: float) -> str:

@@ -1,5 +1,6 @@
 """One drive, one fit, one result: what is stated, drawn and estimated is of one model."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from simulated_logs import CLIMB, drive, written
 from estimator.components.drive_state import DriveState
 from estimator.config import from_dict, load, replace
 from estimator.diagnosis.result import Diagnosis
+from estimator.report import wording
 from estimator.report.diagnosis_page import page
 from estimator.settings import Bus
 from estimator.simulation.effects.effect import Effect
@@ -107,3 +109,23 @@ def test_a_real_trip_is_drawn_as_it_is_stated(recordings):
     assert d.effects
     assert rms(d.traces.measured - d.traces.base) == pytest.approx(d.rms_base, rel=1e-9)
     assert rms(d.traces.measured - d.traces.extended) == pytest.approx(d.rms_final, rel=1e-9)
+
+
+def test_the_page_of_a_drive_whose_hills_are_given_is_of_the_model_with_them(shown, diagnosed):
+    """The base is then the model with the road: its name, its parameters and what an exact road would leave."""
+    d = diagnose_logs(shown, from_dict({"effects": ["grade"]}))
+    assert (d.verdict, d.given, d.effects) == ("no gap", ("grade",), ())
+    assert d.rms_base == pytest.approx(diagnosed.rms_final, rel=1e-9)
+    assert d.base.mass == pytest.approx(diagnosed.final.mass, rel=0.01) == d.final.mass
+    assert abs(d.base.mass - diagnosed.base.mass) > 0.05 * d.base.mass  # of a level road
+    document = page(d)
+    assert "plain model" not in document
+    assert "Parameters of the model with grade" in document
+    assert f"{d.base.mass:,.0f}" in document
+    bars = re.search(r'<ul class="bars".*?</ul>', document).group()
+    road = d.budget.part("road")
+    rows = [("model with grade", d.rms_base), ("if its road were exact", road.expected), ("noise floor", d.noise_floor)]
+    assert re.findall(r"<li><span>(.*?)</span>.*?<span>(.*?)</span></li>", bars) == [
+        (name, wording.kilowatts(power)) for name, power in rows
+    ]
+    assert ">error of road<" in document

@@ -202,7 +202,7 @@ def test_evidence_that_is_not_reported_has_its_reason() -> None:
         (empty(), "Cannot tell: the log holds 40 s of driving; ten minutes are needed."),
         (
             changed(verdict=Verdict.NO_GAP, effects=()),
-            "The model describes this drive to 13.4 kW; too small to see here: viscous_drag, auxiliary_load.",
+            "The model describes this drive to 13.4 kW; too small to see here: viscous drag, auxiliary load.",
         ),
         (unknown(), "Something is missing that no known effect explains: power over time, 6.1 kW of 9.1 kW."),
         (
@@ -220,7 +220,7 @@ def test_evidence_that_is_not_reported_has_its_reason() -> None:
         ),
         (
             rich(),
-            "With headwind (wind 5.21 ± 0.32 m/s) and auxiliary_cycling (power 23.4 ± 1.1 kW) in the model "
+            "With headwind (wind 5.21 ± 0.32 m/s) and auxiliary cycling (power 23.4 ± 1.1 kW) in the model "
             "the residual falls from 13.4 kW to 3.6 kW.",
         ),
     ],

@@ -38,9 +38,9 @@ def improved(d: Diagnosis, traces: Traces) -> Improved | None:
     return Improved("with the effects", traces.extended)
 
 
-def gap_map(cells: GapMap, better: Improved | None) -> str:
-    """Mean residual by speed and acceleration, before and after on one scale."""
-    shown = [("plain model", cells.plain)] + ([(better.name, cells.extended)] if better else [])
+def gap_map(cells: GapMap, base: str, better: Improved | None) -> str:
+    """Mean residual by speed and acceleration on one scale, of the model named ``base`` and of a better one."""
+    shown = [(base, cells.plain)] + ([(better.name, cells.extended)] if better else [])
     scale = _scale(np.concatenate([values.ravel() for _, values in shown]) / 1e3)
     seen = np.isfinite(cells.plain) | np.isfinite(cells.extended)
     x = _covered(KMH * cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [km/h]")
@@ -88,15 +88,15 @@ def in_time(traces: Traces, d: Diagnosis, better: Improved | None) -> str:
     if _has_several_logs(traces):
         label = "driving time [min], log after log"
     note = '<p class="soft">Shaded: when an effect acts.</p>' if len(spans) else ""
-    return note + _residuals(clock / 60, traces, better, label, spans / 60) + _speed(clock / 60, traces, label)
+    return note + _residuals(clock / 60, traces, d, better, label, spans / 60) + _speed(clock / 60, traces, label)
 
 
-def along_the_road(traces: Traces, better: Improved | None) -> str:
+def along_the_road(traces: Traces, d: Diagnosis, better: Improved | None) -> str:
     """Residual over the distance driven, before and after."""
     # Each drive counts from zero: they are laid end to end.
     steps = np.maximum(np.diff(traces.distance, prepend=traces.distance[:1]), 0.0)
     distance = float(traces.distance[0]) + np.cumsum(steps)
-    return _residuals(distance / 1e3, traces, better, "distance [km]", np.empty((0, 2)))
+    return _residuals(distance / 1e3, traces, d, better, "distance [km]", np.empty((0, 2)))
 
 
 def _has_several_logs(traces: Traces) -> bool:
@@ -119,8 +119,10 @@ def _placed(span: Span, traces: Traces, clock: Floats) -> Floats:
     return placed
 
 
-def _residuals(position: Floats, traces: Traces, better: Improved | None, label: str, spans: Floats) -> str:
-    residuals = [("plain model", "before", (traces.measured - traces.base) / 1e3)]
+def _residuals(
+    position: Floats, traces: Traces, d: Diagnosis, better: Improved | None, label: str, spans: Floats
+) -> str:
+    residuals = [(wording.base_name(d), "before", (traces.measured - traces.base) / 1e3)]
     if better:
         residuals.append((better.name, "after", (traces.measured - better.power) / 1e3))
     x = axis(position.tolist(), label)
@@ -148,8 +150,8 @@ def _speed(position: Floats, traces: Traces, label: str) -> str:
     return plot(line(x, y, centre, mean, "line measured"), x, y, words, "speed", "strip")
 
 
-def power(traces: Traces, better: Improved | None) -> str:
-    """Measured power and that of the models in the five most informative minutes; empty without data."""
+def power(traces: Traces, base: str, better: Improved | None) -> str:
+    """Measured power and that of the models in the five most informative minutes, from that of ``base`` on."""
     squared = (traces.measured - traces.base) ** 2
     worth = np.nan_to_num(squared - (traces.measured - better.power) ** 2 if better else squared)
     clock = _clock(traces)
@@ -162,16 +164,18 @@ def power(traces: Traces, better: Improved | None) -> str:
     values = {kind: np.where(late, np.nan, curve[window] / 1e3) for kind, curve in curves}
     y = axis(np.concatenate(list(values.values())).tolist(), "power [kW]", zero=True, margin=0.04)
     shapes = "".join(line(x, y, t / 60, v, f"line {kind}") for kind, v in values.items())
-    names = {"measured": "measured", "before": "plain model", "after": better.name if better else ""}
+    names = {"measured": "measured", "before": base, "after": better.name if better else ""}
     key = "".join(f'<span class="{kind}">{names[kind]}</span>' for kind in values)
     words = f"Power from {number(x.low)} to {number(x.high)} min: " + ", ".join(names[k] for k in values)
     return f'<p class="key">{key}</p>' + plot(shapes, x, y, words, kind="trace")
 
 
 def bars(d: Diagnosis) -> str:
-    """The residual from the plain model down to the noise floor, one bar an effect."""
+    """The residual from the model as configured down to the noise floor, one bar an effect."""
     rows = [(name, rms) for name, rms in wording.ladder(d) if math.isfinite(rms)]
     rows += [("if the road were known", effect.rms_after) for effect in d.effects if wording.is_hidden(effect)]
+    exact = wording.if_road_were_exact(d)
+    rows += [] if exact is None else [("if its road were exact", exact)]
     floor = d.noise_floor if d.noise_floor is not None and math.isfinite(d.noise_floor) else 0.0
     greatest = max([floor, *(rms for _, rms in rows)], default=0.0)
     if not greatest > 0:
@@ -202,7 +206,7 @@ def budget(whole: Budget) -> str:
         colour = "noise" if part.cause == NOISE else f"cause-{min(i, CAUSES - 1)}"
         blocks.append(f'<i class="{colour}" style="width:{max(part.share, 0.0) / total:.1%}"></i>')
         share = html.escape(wording.percent(part.share))
-        legend.append(f'<li><b class="{colour}"></b>{html.escape(wording.label(part.cause))} <span>{share}</span></li>')
+        legend.append(f'<li><b class="{colour}"></b>{html.escape(wording.cause(part))} <span>{share}</span></li>')
     return f'<b class="bar budget">{"".join(blocks)}</b><ul class="legend">{"".join(legend)}</ul>'
 
 

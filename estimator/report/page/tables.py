@@ -44,7 +44,7 @@ def chosen(d: Diagnosis) -> str:
 
 
 def parameters(d: Diagnosis) -> str:
-    """A, C and m of the plain model and with the effects."""
+    """A, C and m of the model as configured, and with the effects found."""
     if d.base is None:
         return ""
     rows = []
@@ -57,8 +57,9 @@ def parameters(d: Diagnosis) -> str:
             share = f" ({number_format.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
             row += [wording.parameter(after, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
-    headings = ("parameter", "plain model", "with the effects", "shift")
-    title = "What it does to the parameters" if d.effects else "Parameters of the plain model"
+    base = html.escape(wording.base_name(d))
+    headings = ("parameter", base, "with the effects", "shift")
+    title = "What it does to the parameters" if d.effects else f"Parameters of the {base}"
     return f"<h3>{title}</h3>" + table(headings[: len(rows[0])], rows, "parameters")
 
 
@@ -67,7 +68,7 @@ def budget(whole: Budget) -> str:
     headings = ("cause", "share of the residual", "of its own", "left once added", "left if it were known")
     rows = [
         (
-            html.escape(wording.label(part.cause)),
+            html.escape(wording.cause(part)),
             html.escape(wording.interval(GapClosed(part.share, part.q05, part.q95))),
             *map(wording.kilowatts, (part.rms, part.held_out_rms, part.expected)),
         )
