@@ -1,6 +1,6 @@
 """Pages of the manual made of the records in results/: ``python tools/results_pages.py``; ``--check`` only compares.
 
-docs/results/NAME.md shows results/NAME.json: what is measured, the command, version and options, and the tables of the
+results/NAME.md shows results/NAME.json: what is measured, the command, version and options, and the tables of the
 check. In README and docs ``<!-- results of NAME NAME -->`` stands above the most important figures of these records,
 and ``<!-- end of results -->`` below; "all" stands for every record.
 """
@@ -20,7 +20,6 @@ from harness.check import RESULTS, ROOT, Check, Table, cell, read_record
 from estimator.errors import InputError
 
 DOCS = ROOT / "docs"
-PAGES = DOCS / "results"
 NIGHTLY = ROOT / "tests" / "nightly"
 MAX_ROWS = 40  # of a table on a page: those that have more are in the record alone
 BLOCK = re.compile(r"(<!-- results of ([\w ]+) -->\n)(.*?)(?=<!-- end of results -->)", re.DOTALL)
@@ -79,7 +78,7 @@ def overview(names: list[str], folder: Path) -> str:
     rows = []
     for name in records() if names == ["all"] else names:
         record = read_record(RESULTS / f"{name}.json")
-        check, link = checks()[record["check"]], Path(relpath(PAGES / f"{name}.md", folder)).as_posix()
+        check, link = checks()[record["check"]], Path(relpath(RESULTS / f"{name}.md", folder)).as_posix()
         figures = check.headline.text(check.tables(record["figures"]))
         rows += [[f"[{title(name, record)}]({link})", figures]] if figures else []
     return f"\n{Table('', ('what', 'result'), rows).markdown()}\n"
@@ -88,7 +87,7 @@ def overview(names: list[str], folder: Path) -> str:
 def pages() -> Iterator[tuple[Path, str]]:
     """Each page that shows records, and the text that it should have."""
     for name, record in records().items():
-        yield PAGES / f"{name}.md", page(name, record)
+        yield RESULTS / f"{name}.md", page(name, record)
     for path in (ROOT / "README.md", *sorted(DOCS.glob("*.md"))):
         text = path.read_text(encoding="utf-8")
         for head, names, old in BLOCK.findall(text):
@@ -98,7 +97,7 @@ def pages() -> Iterator[tuple[Path, str]]:
 
 def stale() -> dict[Path, str]:
     """The pages that differ from their records, with the text that they should have; empty where a record is gone."""
-    gone = {path: "" for path in PAGES.glob("*.md") if path.stem not in records()}
+    gone = {path: "" for path in RESULTS.glob("*.md") if path.stem not in records()}
     return gone | {
         path: text for path, text in pages() if not path.exists() or path.read_text(encoding="utf-8") != text
     }
@@ -114,7 +113,6 @@ def main() -> int:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_status
-    PAGES.mkdir(exist_ok=True)
     for path, text in found.items():
         print(path.relative_to(ROOT))
         if not options.check:

@@ -184,7 +184,7 @@ def test_files_that_a_page_names_exist(name: str) -> None:
 def test_the_index_names_every_page() -> None:
     linked = set(re.findall(r"\]\(([\w/]+\.md)\)", PAGES["docs/README.md"]))
     pages = {path.relative_to(ROOT / "docs").as_posix() for path in PATHS[1:]} - {"README.md"}
-    assert linked == {page for page in pages if not page.startswith("results/")}  # accuracy.md names these
+    assert linked == pages
 
 
 def test_settings_that_the_pages_name_exist() -> None:

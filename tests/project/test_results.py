@@ -9,7 +9,7 @@ import pytest
 import results_pages
 from harness.check import RESULTS
 from project_paths import ROOT
-from results_pages import EXCEPTIONS, PAGES, checks, records
+from results_pages import EXCEPTIONS, checks, records
 
 from estimator import __version__
 from estimator.errors import InputError
@@ -24,7 +24,7 @@ def copies(tmp_path: Path, monkeypatch: Patch) -> Path:
     for name in ("results", "docs"):
         shutil.copytree(ROOT / name, tmp_path / name)
     shutil.copy(ROOT / "README.md", tmp_path)
-    for name, path in (("ROOT", "."), ("RESULTS", "results"), ("DOCS", "docs"), ("PAGES", "docs/results")):
+    for name, path in (("ROOT", "."), ("RESULTS", "results"), ("DOCS", "docs")):
         monkeypatch.setattr(results_pages, name, tmp_path / path)
     return tmp_path
 
@@ -65,11 +65,11 @@ def test_a_changed_figure_is_noticed_on_its_page_and_where_it_is_quoted(copies: 
     figures = json.loads(path.read_bytes())["figures"]
     figures["compared"]["C"]["holds"] -= 1
     change(path, figures=figures)
-    (copies / "docs" / "results" / "gone.md").write_text("# Gone\n")
+    (copies / "results" / "gone.md").write_text("# Gone\n")
     found = {path.relative_to(copies).as_posix(): text for path, text in results_pages.stale().items()}
-    assert {"docs/results/fleet.md", "docs/results/gone.md", "docs/accuracy.md"} <= set(found)
-    assert found["docs/results/gone.md"] == ""
-    assert "docs/results/attacks.md" not in found
+    assert {"results/fleet.md", "results/gone.md", "docs/accuracy.md"} <= set(found)
+    assert found["results/gone.md"] == ""
+    assert "results/attacks.md" not in found
 
 
 def test_a_page_that_quotes_a_record_that_is_missing_is_refused(copies: Path) -> None:
@@ -80,11 +80,11 @@ def test_a_page_that_quotes_a_record_that_is_missing_is_refused(copies: Path) ->
 
 def test_pages_are_written(copies: Path, monkeypatch: Patch) -> None:
     change(copies / "results" / "fleet.json", version="0.0.1")
-    shutil.rmtree(copies / "docs" / "results")
+    (copies / "results" / "fleet.md").unlink()
     monkeypatch.setattr("sys.argv", ["results_pages.py", "--check"])
     assert results_pages.main() == 1
     monkeypatch.setattr("sys.argv", ["results_pages.py"])
     assert results_pages.main() == 0
     assert results_pages.stale() == {}
-    assert "Version 0.0.1." in (copies / "docs" / "results" / "fleet.md").read_text()
-    assert {path.stem for path in PAGES.glob("*.md")} == set(records())
+    assert "Version 0.0.1." in (copies / "results" / "fleet.md").read_text()
+    assert {path.stem for path in (copies / "results").glob("*.md")} == set(records())
