@@ -10,7 +10,7 @@ from estimator.commands.terminal import say
 from estimator.estimates import Status
 from estimator.printable import printable
 from estimator.report import wanted_driving
-from estimator.report.parameter_text import ROWS, clock, references, road
+from estimator.report.parameter_text import ROWS, cells, clock, references, road
 
 COLOURS = {
     State.WAITING: "yellow",
@@ -86,7 +86,7 @@ def _print_estimate(console: Console, status: StatusAnswer) -> None:
             say(console, f"road      {road(estimate.road)}")
         c = estimate.coverage
         if c.available:
-            say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
+            say(console, f"coverage  {cells(c)}")
     if progress is None:
         return
     is_estimated = estimate is not None and estimate.status is not Status.UNESTIMATED

@@ -57,7 +57,7 @@ def _print_fit(console: Console, run: Run) -> None:
         say(console, f"lag       power comes {evidence.lag:.2f} s after speed, and has been aligned")
     c, k = final.coverage, final.convergence
     if c.available:
-        say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
+        say(console, f"coverage  {parameter_text.cells(c)}")
     if k is not None and final.rms is not None:
         chains = f"R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted"
         say(console, f"sampler   {chains}; residual {final.rms / 1e3:.1f} kW (rms of means over 1 s)")

@@ -46,7 +46,7 @@ def search(
     if not sloping or slopes < thresholds.min_log_bf_slopes_tried:
         return replace(level or search_on_level.result(), slopes=slopes)
     search_on_slopes = Search(sloping, candidates, earlier_terms)
-    return _on_either_road(search_on_level, level, search_on_slopes, thresholds)
+    return _on_either_road(plain, search_on_level, level, search_on_slopes, thresholds)
 
 
 def _are_explained(
@@ -58,39 +58,48 @@ def _are_explained(
 
 
 def _on_either_road(
-    search_on_level: Search, level: SearchResult | None, search_on_slopes: Search, thresholds: Thresholds
+    plain: Sequence[DriveState],
+    search_on_level: Search,
+    level: SearchResult | None,
+    search_on_slopes: Search,
+    thresholds: Thresholds,
 ) -> SearchResult:
     """The result with more evidence, on a level road or on a sloping one, of drives that seem to have slopes.
 
-    ``level``: the result on a level road, if it is known. Over hills the search on a level road takes many rounds to
-    explain the slopes by effects, so it is second.
+    ``plain``: fits on a level road. ``level``: the result on it, if it is known. Over hills the search on a level road
+    takes many rounds to explain the slopes by effects, so it is second.
     """
-    slopes = _slopes(search_on_slopes.effects_only)
+    slopes = _slopes(search_on_slopes.effects_only, plain)
     if slopes < thresholds.min_log_bf_slopes:
         return replace(level or search_on_level.result(), slopes=slopes)
     result = search_on_slopes.result()
-    is_shown = _is_shown(result, thresholds)
+    is_shown = _is_shown(result.drives, plain, thresholds)
     min_log_posterior = result.log_posterior - (0.0 if is_shown else thresholds.min_log_bf_slopes)
     level = level or search_on_level.result_above(min_log_posterior)
     if level is not None and level.log_posterior > min_log_posterior:
         return replace(level, slopes=slopes)
-    slopes = min([_slopes(result.drives), *([result.log_posterior - level.log_posterior] if level else [])])
+    slopes = _slopes(result.drives, plain)
+    slopes = slopes if level is None else min(slopes, result.log_posterior - level.log_posterior)
     steepest = max(drive.slope_sd for drive in result.drives)
     is_hilly = is_shown is not False and steepest > thresholds.min_grade_sd
     return replace(result, is_sloping=True, slopes=slopes, is_hilly=is_hilly)
 
 
-def _slopes(drives: Sequence[DriveState], sloping: Sequence[DriveState] = ()) -> float:
+def _slopes(drives: Sequence[DriveState], others: Sequence[DriveState]) -> float:
     """Log Bayes factor of a sloping road over a level one, with the effects of each drive's fit in both models.
 
-    ``sloping``: fits of the same drives with slopes; their scales are the start of the search for scales.
+    ``others``: fits of the same drives with the other kind of road, from whose scales its search begins; or none.
     """
-    starts = [drive.fit.scales for drive in sloping] if sloping else [None for _ in drives]
+    starts = [[drive.fit.scales] for drive in others] if others else [[] for _ in drives]
     pairs = zip(drives, starts, strict=True)
     return sum(log_bayes_factor_of_road(drive.strides, drive.fit, scales) for drive, scales in pairs)
 
 
-def _is_shown(result: SearchResult, thresholds: Thresholds) -> bool | None:
+def _is_shown(drives: Sequence[DriveState], plain: Sequence[DriveState], thresholds: Thresholds) -> bool | None:
     """True if signals of the road confirm the slopes that the force shows, False if they contradict them, else None."""
-    signals = sum(log_bayes_factor_of_signals(d.strides, d.fit) for d in result.drives if d.fit.scales.readings)
+    signals = sum(
+        log_bayes_factor_of_signals(drive.strides, drive.fit, [level.fit.scales])
+        for drive, level in zip(drives, plain, strict=True)
+        if drive.fit.scales.readings
+    )
     return None if abs(signals) < thresholds.min_log_bf_signals else bool(signals > 0)

@@ -188,9 +188,11 @@ class Search:
         values[POWER] = model.scales[POWER].low
         if level:
             values[SLOPE] = model.scales[SLOPE].low
-        return RoadScales(
+        scales = RoadScales(
             values=values, alpha=model.alpha, wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
         )
+        orders = [scales, replace(scales, wander=SMOOTH)] if scales.readings else [scales]
+        return max(orders, key=lambda scales: self.likelihood(scales).log_evidence(scales.values))
 
     def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float, float]:
         """The ``scales``, or the most probable of ``other`` orders where these have more evidence, and their lead.

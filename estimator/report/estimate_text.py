@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from estimator.estimates import Estimate, drag_area
 from estimator.report.number_format import with_interval
+from estimator.report.parameter_text import cells
 
 PARAMETERS = (("m", "mass", "kg"), ("A", "A", "N"), ("C", "C", "N s²/m²"))  # key, name, unit
 MOST = 4  # reasons of unused rows that are listed
@@ -24,9 +25,8 @@ def lines_of(estimate: Estimate, rejected: Mapping[str, int]) -> Iterator[str]:
     if estimate.C is not None:
         area = drag_area(estimate.C, estimate.air_density)
         yield f"c_d A     {with_interval(area.mean, area.q05, area.q95, 'm²')}"
-    cells = estimate.coverage
-    if cells.available:
-        yield f"coverage  {100 * cells.fraction:.0f} % ({cells.occupied} of {cells.available} reachable cells)"
+    if estimate.coverage.available:
+        yield f"coverage  {cells(estimate.coverage)}"
     total = estimate.admitted + sum(rejected.values())
     reasons = sorted(rejected.items(), key=lambda pair: -pair[1])[:MOST]
     unused = ", ".join(f"{reason} {100 * count / total:.0f} %" for reason, count in reasons if count)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from estimator import estimates
 from estimator.answers.reference import Reference, References
 from estimator.answers.run import CoastDown, Coefficients, Coverage, Parameter, Parameters, Road
 from estimator.estimates import Status
@@ -117,6 +118,11 @@ def line(status: Status, reason: str, parameters: Parameters, coverage: Coverage
     if "coverage" not in reason and coverage.available:
         parts.append(f"coverage {100 * coverage.fraction:.0f} %")
     return ", ".join(parts)
+
+
+def cells(coverage: Coverage | estimates.Coverage) -> str:
+    """``82 % (41 of 50 reachable cells)``."""
+    return f"{100 * coverage.fraction:.0f} % ({coverage.occupied} of {coverage.available} reachable cells)"
 
 
 def road(slopes: Road) -> str:

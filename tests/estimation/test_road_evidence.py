@@ -51,7 +51,7 @@ def test_noise_of_a_level_road_does_not_hide_its_slopes(seed: int) -> None:
     """On a level road the noise grows until it holds the slopes, and from there none are found."""
     strides = driven(0.006, seed)
     level, sloping = fits(strides)
-    found = log_bayes_factor_of_road(strides, level, sloping.scales)
+    found = log_bayes_factor_of_road(strides, level, [sloping.scales])
     assert found > 15
     assert found == pytest.approx(sloping.log_evidence - level.log_evidence, abs=10)  # but for priors of the scales
     assert found >= log_bayes_factor_of_road(strides, level)
@@ -62,4 +62,4 @@ def test_noise_of_a_level_road_does_not_hide_its_slopes(seed: int) -> None:
 def test_a_level_road_has_no_slopes(seed: int) -> None:
     strides = driven(0.0, seed)
     level, sloping = fits(strides)
-    assert log_bayes_factor_of_road(strides, level, sloping.scales) < 3
+    assert log_bayes_factor_of_road(strides, level, [sloping.scales]) < 3

@@ -85,6 +85,7 @@ def test_a_search_ends_early_only_where_the_mode_is_not_worth_it():
         early, lower = most_probable(found, start, free, value + above)
         assert lower <= value
         assert lower == pytest.approx(log_posterior(found, early, free))
+    assert_allclose(most_probable(found, start, free, value + 1e9)[0], start, rtol=1e-12)
     beside = mode * 1.05
     stopped, _ = most_probable(found, beside, free, value + 40.0)
     assert_allclose(stopped, beside, rtol=1e-12)
