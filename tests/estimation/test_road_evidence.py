@@ -54,7 +54,7 @@ def test_noise_of_a_level_road_does_not_hide_its_slopes(seed: int) -> None:
     found = log_bayes_factor_of_road(strides, level, [sloping.scales])
     assert found > 15
     assert found == pytest.approx(sloping.log_evidence - level.log_evidence, abs=10)  # but for priors of the scales
-    assert found >= log_bayes_factor_of_road(strides, level)
+    assert found >= log_bayes_factor_of_road(strides, level) - 0.1  # as exact as searches for scales are
 
 
 @pytest.mark.slow
