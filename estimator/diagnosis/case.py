@@ -1,7 +1,7 @@
 """Check whether a drive can be diagnosed, and hold it with the effects that the configuration gives."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
@@ -9,7 +9,7 @@ from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of, wrong_unit_of
 from estimator.estimation.road_fit import RoadFit, fit
 from estimator.estimation.road_search import RoadScales
-from estimator.estimation.shapes import fitted_with_shapes, terms_of
+from estimator.estimation.shapes import fitted_with_shapes, nearer_shapes, terms_of
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect, obstacle
 from estimator.preparation.drive import Drive
@@ -52,6 +52,13 @@ class Case:
         moving = [effect for effect in given if not (effect.is_gravity or effect.is_absorbed)]
         terms = _terms(drive, moving) if moving else ()
         return cls(drive, tuple(given), terms)
+
+    def beside(self, found: DriveState) -> "Case":
+        """Copy whose given terms have the shapes with most evidence beside all effects ``found``."""
+        nearer = nearer_shapes(found.strides, found.fit)[: len(self.terms)]
+        return replace(
+            self, terms=tuple(replace(old, shape=new.shape) for old, new in zip(self.terms, nearer, strict=True))
+        )
 
     def state(self, is_level: bool) -> DriveState | None:
         """Fit of the drive with the given terms, where the search starts; None if it does not determine A, C and m.

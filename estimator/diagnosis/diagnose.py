@@ -69,7 +69,12 @@ def diagnose(
     fitted, states = fitted_cases(cases)
     if not fitted:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=UNIFORM, not_testable=missing)
-    decision = decide(search(fitted, states, effects, limits), fitted, states, limits, rng)
+    result = search(fitted, states, effects, limits)
+    nearer = tuple(case.beside(drive) for case, drive in zip(fitted, result.drives, strict=True))
+    if nearer != fitted:  # shapes of the given effects were found without the others
+        fitted, states = fitted_cases(nearer)
+        result = search(fitted, states, effects, limits)
+    decision = decide(result, fitted, states, limits, rng)
     diagnosis = _report(decision, effects, missing)
     return replace(diagnosis, p_value=p_value(decision.result, surrogates, rng)) if surrogates else diagnosis
 

@@ -66,10 +66,10 @@ def _budget(d: Diagnosis) -> str:
     if d.budget is None:
         return ""
     meaning = (
-        '<p class="soft">Mean square of the model&#x27;s residual over means of 2 s, '
-        f"{wording.kilowatts(d.budget.base)} in all, with 90 % intervals. Left once added: on held-out stretches, "
-        "with the signals there are. Left if it were known: as a signal of its own would show it. The gap is all but "
-        "the noise of the sensors.</p>"
+        '<p class="soft">Shares of the mean square of the model&#x27;s residual over means of 2 s, whose root is '
+        f"{wording.kilowatts(d.budget.base)}, with 90 % intervals. Left once added: on held-out stretches, "
+        "with the signals there are. Left if it were known: as a signal of its own would show it. The gap is "
+        "everything except the noise of the sensors.</p>"
     )
     return figures.budget(d.budget) + tables.budget(d.budget) + meaning
 
@@ -142,9 +142,15 @@ def _left(d: Diagnosis) -> str:
     formula = f" A power of {html.escape(wording.formula(d))}." if d.formula is not None else ""
     return (
         f"<p>{REMAINDER_SENTENCES[d.remaining_verdict]}{strength}{formula} "
-        f"The residual is {wording.with_exact_road(d, final)}; "
+        f"The residual is {wording.with_exact_road(d, final)}{_if_known(d)}; "
         f"the noise floor is {wording.kilowatts(d.noise_floor)}.</p>"
     )
+
+
+def _if_known(d: Diagnosis) -> str:
+    """Residual that a road that no signal shows would leave if it were known; empty where there is none."""
+    hidden = next((effect for effect in d.effects if wording.is_hidden(effect)), None)
+    return "" if hidden is None else f", {wording.kilowatts(hidden.rms_after)} if the road were known"
 
 
 def terms(limits: Thresholds) -> dict[str, str]:

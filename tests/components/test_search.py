@@ -327,7 +327,7 @@ def found_on_either_road(
 
     class Found:
         def __init__(self, drives: tuple[Any, ...], effects: object, earlier_terms: object) -> None:
-            (self.road,) = drives
+            self.road = drives[0].road
             self.effects_only, self.first_effects = (drive,), (gain, (drive,))
 
         def result(self) -> SearchResult:
@@ -342,8 +342,11 @@ def found_on_either_road(
     monkeypatch.setattr(
         road_comparison, "_slopes", lambda states, sloping=(): values.pop(0) if values[1:] else values[0]
     )
-    monkeypatch.setattr(road_comparison, "log_bayes_factor_of_signals", lambda strides, fit: signals)
-    case = SimpleNamespace(terms=(), is_road_given=False, state=lambda is_level: "level" if is_level else "sloping")
+    monkeypatch.setattr(road_comparison, "log_bayes_factor_of_signals", lambda strides, fit, starts: signals)
+    starts = {road: SimpleNamespace(fit=fit, road=road) for road in ("level", "sloping")}
+    case = SimpleNamespace(
+        terms=(), is_road_given=False, state=lambda is_level: starts["level" if is_level else "sloping"]
+    )
     cases, states = road_comparison.fitted_cases([case])
     return road_comparison.search(cases, states, [], Thresholds()), order
 

@@ -1,6 +1,7 @@
 """One drive, one fit, one result: what is stated, drawn and estimated is of one model."""
 
 import re
+from dataclasses import replace as with_fields
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from simulated_logs import CLIMB, drive, written
 
 from estimator.components.drive_state import DriveState
 from estimator.config import from_dict, load, replace
+from estimator.diagnosis.case import Case
 from estimator.diagnosis.result import Diagnosis
+from estimator.model.effects import BY_NAME
 from estimator.report import wording
 from estimator.report.diagnosis_page import page
 from estimator.settings import Bus
@@ -129,3 +132,17 @@ def test_the_page_of_a_drive_whose_hills_are_given_is_of_the_model_with_them(sho
         (name, wording.kilowatts(power)) for name, power in rows
     ]
     assert ">error of road<" in document
+
+
+def test_a_given_wind_gets_the_shape_that_fits_beside_what_is_found(tmp_path: Path) -> None:
+    """A shape found without the other effects leaves them another wind to explain."""
+    log = written(drive("mixed", 15, 7, Effect(name="headwind", magnitude=5.0)), tmp_path / "wind.blf")
+    (made,) = drives_of(log, from_dict({"effects": ["headwind"]}))
+    case = Case.of(made, (BY_NAME["headwind"],))
+    direction, *rest = case.terms[0].shape
+    turned = with_fields(case, terms=(with_fields(case.terms[0], shape=(direction + 0.5, *rest)),))
+    found = turned.state(is_level=True)
+    nearer = turned.beside(found)
+    assert nearer.state(is_level=True).log_evidence > found.log_evidence + 1
+    own = case.state(is_level=True)
+    assert case.beside(own).state(is_level=True).log_evidence >= own.log_evidence - 0.1

@@ -134,9 +134,7 @@ def _residuals(
     panels = []
     for name, kind, (at, low, high, _), (centre, _, _, mean) in bins:
         shapes = marks + band(x, y, at, low, high, f"band {kind}") + line(x, y, centre, mean, f"line {kind}")
-        words = (
-            f"Residual of the {name} over {label}: block means from {np.nanmin(mean):.1f} to {np.nanmax(mean):.1f} kW"
-        )
+        words = f"Residual, {name}, over {label}: block means from {np.nanmin(mean):.1f} to {np.nanmax(mean):.1f} kW"
         panels.append(plot(shapes, x, y, words, name, "strip"))
     return "".join(panels)
 
