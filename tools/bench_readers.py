@@ -193,7 +193,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 CHECK = Check(
-    title="Readers of logs", measure=figures_of, tables=tables, headline=Cells(rows=("roadload: decode",)), options=add_options
+    title="Readers of logs",
+    measure=figures_of,
+    tables=tables,
+    headline=Cells(rows=("roadload: decode",)),
+    options=add_options,
 )
 
 if __name__ == "__main__":

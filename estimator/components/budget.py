@@ -119,7 +119,7 @@ def budget(
     """Gap budget of one drive, or of several together.
 
     For each drive ``possible`` holds effects that were not chosen, and ``unnamed`` the nameless processes to include.
-    Causes that are ``given`` are in the model whose residual is split. Their parts do not count as closed gap.
+    Causes that are ``given`` are in the model whose residual is split; their errors are part of the gap.
     """
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
@@ -140,7 +140,7 @@ def budget(
     not_chosen = dict.fromkeys(term.name for terms in possible for term in terms if term.name not in chosen)
     _pool_small(drawn, residual, not_chosen)
     shares = {cause: residual @ draws / (residual @ residual) for cause, draws in drawn.items()}
-    all_but_noise = 1 - sum(share for cause, share in shares.items() if cause in (NOISE, WHITE, *given))
+    all_but_noise = 1 - sum(share for cause, share in shares.items() if cause in (NOISE, WHITE))
     found_share = all_but_noise - sum(
         (shares[cause] for cause in (*not_chosen, OTHERS) if cause in shares), np.zeros(DRAWS)
     )

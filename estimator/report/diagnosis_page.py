@@ -14,7 +14,7 @@ from estimator.report.page import figures, tables
 from estimator.report.page.document import Section, document, write_document
 
 REMAINDER_SENTENCES = {
-    Verdict.NO_GAP: "Nothing systematic is left.",
+    Verdict.NO_GAP: "What is left calls for no further effect.",
     Verdict.EFFECT: "Another effect of the catalogue may still act, but not clearly enough to be added.",
     Verdict.UNKNOWN: "Something is left that no effect of the catalogue explains.",
     Verdict.CANNOT_TELL: "Whether anything is left cannot be told.",
@@ -137,7 +137,7 @@ def _left(d: Diagnosis) -> str:
         return ""
     strength = ""
     if d.remaining_log_bayes_factor is not None:
-        strength = f" Log Bayes factor of the best further explanation: {wording.strength_of_rest(d)}."
+        strength = f" Log Bayes factor of a further cause without a name: {wording.strength_of_rest(d)}."
     final = d.rms_base if d.rms_final is None else d.rms_final
     formula = f" A power of {html.escape(wording.formula(d))}." if d.formula is not None else ""
     return (

@@ -54,7 +54,7 @@ def headline(d: Diagnosis) -> str:
             beside = f"Beside {named}, an" if named else "An"
             return f"{beside} effect outside the catalogue acts on this drive."
         case Verdict.NO_GAP:
-            return "No gap: the model leaves nothing systematic on this drive."
+            return "No gap: this drive calls for no effect beyond the model."
         case Verdict.CANNOT_TELL:
             return "This log cannot tell what separates the model from the engine."
 
@@ -91,7 +91,7 @@ def if_road_were_exact(d: Diagnosis) -> float | None:
 
 
 def strength_of_rest(d: Diagnosis) -> str:
-    """Log Bayes factor of the best further explanation; a large one beside effects that is dismissed has its reason."""
+    """Log Bayes factor of a further cause without a name; a large one that is dismissed has its reason."""
     best = d.remaining_log_bayes_factor
     is_large = best is not None and best > THRESHOLDS.min_log_bf_unknown
     is_dismissed = is_large and bool(d.effects) and d.remaining_verdict is Verdict.NO_GAP

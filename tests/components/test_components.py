@@ -18,7 +18,7 @@ from scipy.signal import find_peaks
 from scipy.stats import multivariate_normal
 
 from estimator.components import edges, exchange, switching
-from estimator.components.budget import NOISE, ROAD, budget
+from estimator.components.budget import NOISE, ROAD, WHITE, budget
 from estimator.components.candidate_terms import CandidateTerms, EarlierTerms
 from estimator.components.drive_state import DriveState
 from estimator.components.hypothesis_space import HypothesisSpace
@@ -656,6 +656,8 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     assert known.base == pytest.approx(part.held_out_rms)
     assert known.part("auxiliary_cycling").rms < 0.3 * part.rms
     assert known.part("auxiliary_cycling").held_out_rms is None
+    counted = [x for x in known.parts if x.cause not in (NOISE, WHITE)]  # the error of a given cause is of the gap too
+    assert sum(x.closed[0] for x in counted) == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.slow
