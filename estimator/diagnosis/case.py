@@ -9,7 +9,7 @@ from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of, wrong_unit_of
 from estimator.estimation.road_fit import RoadFit, fit
 from estimator.estimation.road_search import RoadScales
-from estimator.estimation.shapes import fitted_with_shapes, nearer_shapes, terms_of
+from estimator.estimation.shapes import fitted_with_shapes, is_free, nearer_shapes, terms_of
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect, obstacle
 from estimator.preparation.drive import Drive
@@ -55,6 +55,8 @@ class Case:
 
     def beside(self, found: DriveState) -> "Case":
         """Copy whose given terms have the shapes with most evidence beside all effects ``found``."""
+        if not any(is_free(term) for term in self.terms):
+            return self
         nearer = nearer_shapes(found.strides, found.fit)[: len(self.terms)]
         return replace(
             self, terms=tuple(replace(old, shape=new.shape) for old, new in zip(self.terms, nearer, strict=True))
