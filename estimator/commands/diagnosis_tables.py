@@ -93,9 +93,10 @@ def _budget(budget: Budget) -> Table:
 
 
 def _places(d: Diagnosis) -> Table:
-    table = _table("where", "from", "to", "mean residual", "of the square", right=(1, 2, 3, 4))
+    where = f"where the {wording.base_name(d)} errs"
+    table = _table(where, "from", "to", "mean residual", "of the square", right=(1, 2, 3, 4))
     for p in d.where[:PLACE_ROWS]:
-        ends = [usual_units.with_unit(at, p.unit) for at in (p.start, p.end)]
+        ends = usual_units.ends(p.start, p.end, p.unit)
         row = (wording.label(p.axis), *ends, wording.kilowatts(p.bias), wording.percent(p.share))
         table.add_row(*map(Text, row))
     return table

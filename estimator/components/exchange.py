@@ -45,15 +45,13 @@ def best_states(
         in_run = counts[last] - counts[first]
         runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # all of one state
         begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
-        more, edges = changes.by_run(on, begin, end)
         scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
         gain = amplitude_evidence(
             score + switch * scored, strength + 2 * switch * crossed + run_strength[runs], sd, positive
         )
-        gain -= changes.cost(on) + switch * more
-        if single:  # a run at the beginning or the end of the drive has an edge there
-            outer = (begin == 0).astype(float) + (end == b)
-            gain[_count(np.pad(on, 1)) + switch * (edges + outer) > 2] = -np.inf
+        gain -= changes.cost(on) + switch * changes.by_run(on, begin, end)
+        if single:
+            gain[np.count_nonzero(np.diff(np.pad(on, 1))) + switch * edges_by_run(on, begin, end) > 2] = -np.inf
         k = int(np.argmax(gain))
         if gain[k] <= best + 1e-9:
             break
@@ -75,18 +73,23 @@ class Changes:
         before, after = on[:-1], on[1:]
         return float(self._begins @ (~before & after) + self._ends @ (before & ~after) + self._stays @ (before & after))
 
-    def by_run(self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Change of prior cost (r,) [nats] and number of edges (r,) if a run of blocks is on, relative to off.
+    def by_run(self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+        """Change of prior cost (r,) [nats] if a run of blocks is on, relative to off.
 
         Run i has the blocks from ``first[i]`` to before ``last[i]``, all in one state at present.
         """
-        b = len(on)
-        left = np.append(np.where(on[:-1], self._stays - self._ends, self._begins), 0.0)
-        right = np.append(np.where(on[1:], self._stays - self._begins, self._ends), 0.0)
+        left = np.append(np.where(on[:-1], self._stays - self._ends, self._begins), 0.0)  # with the block before it
+        right = np.append(np.where(on[1:], self._stays - self._begins, self._ends), 0.0)  # with the block after it
         within = np.insert(np.cumsum(self._stays), 0, 0.0)
-        cost = left[first - 1] + within[last - 1] - within[first] + right[last - 1]
-        edges = np.where(first > 0, 1 - 2 * on[first - 1], 0) + np.where(last < b, 1 - 2 * on[last % b], 0)
-        return cost, edges.astype(float)
+        cost: Floats = (np.roll(left, 1) - within)[first] + (within + right)[last - 1]
+        return cost
+
+
+def edges_by_run(on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Change of the number of edges (r,) if a run of blocks is on, relative to off; the drive's ends are edges too."""
+    outside = np.pad(on, 1)
+    edges: NDArray[np.int64] = 2 - 2 * outside[first].astype(np.int64) - 2 * outside[last + 1]
+    return edges
 
 
 def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
@@ -97,8 +100,3 @@ def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: boo
     gain = log_bayes_factor(*posterior_of(score, strength, sd), sd)
     allowed: Floats = np.where((score > 0) | (not positive), gain, -np.inf)
     return allowed
-
-
-def _count(on: Mask) -> int:
-    """Number of changes of state."""
-    return int(np.count_nonzero(np.diff(on)))

@@ -91,11 +91,18 @@ class _Piece:
         return self.run + 1 == other.run and min(self.gap_after, other.gap_before) > 0.0
 
 
+@lru_cache(maxsize=8)  # drives: the times of all terms of a drive are on the same strides
+def _runs(t: bytes) -> tuple[list[float], list[float], list[float]]:
+    """First and last stride (r,) [s] of each run of strides at ``t``, and gaps (r + 1,) [s] around the runs."""
+    times = np.frombuffer(t)
+    first = np.flatnonzero(np.diff(times, prepend=-inf) >= DURATION + MIN_GAP)
+    begin, end = times[first].tolist(), times[np.append(first[1:], len(times)) - 1].tolist()
+    return begin, end, [inf, *(b - a - DURATION for a, b in zip(end[:-1], begin[1:], strict=True)), inf]
+
+
 def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
     """Cut ``spans``, in order, into pieces within runs of strides at ``t`` (n,) [s]."""
-    first = np.flatnonzero(np.diff(t, prepend=-inf) >= DURATION + MIN_GAP)
-    begin, end = t[first].tolist(), t[np.append(first[1:], len(t)) - 1].tolist()
-    gaps = [inf, *(b - a - DURATION for a, b in zip(end[:-1], begin[1:], strict=True)), inf]
+    begin, end, gaps = _runs(t.tobytes())
     pieces = list[_Piece]()
     for number, (start, stop) in enumerate(spans):
         for run in range(bisect_left(end, start - DURATION / 2), len(begin)):

@@ -239,10 +239,11 @@ class Diagnosis:
 
     @property
     def ranking(self) -> tuple[Finding, ...]:
-        """All findings, most evidence first: named ones beside all other terms, the others alone."""
+        """All findings, most probable first, and those of one probability in per cent by their evidence."""
         named = {finding.name for finding in self.effects}
         others = [finding for finding in self.candidates if finding.name not in named]
-        return tuple(sorted((*self.effects, *others), key=lambda finding: -finding.log_bayes_factor))
+        every = (*self.effects, *others)
+        return tuple(sorted(every, key=lambda finding: (-round(finding.probability, 2), -finding.log_bayes_factor)))
 
     @property
     def table(self) -> dict[str, Any]:

@@ -25,4 +25,4 @@ def posterior_of(score: Floats | float, strength: Floats | float, prior_sd: floa
     rounding made negative counts as zero.
     """
     precision = np.maximum(strength, 0.0) + prior_sd**-2.0
-    return np.divide(score, precision), precision**-0.5
+    return np.divide(score, precision), 1 / np.sqrt(precision)

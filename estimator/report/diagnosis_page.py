@@ -54,7 +54,7 @@ def _sections(d: Diagnosis) -> list[Section]:
         Section("where", "Where does it lie?", _where(d)),
         Section("which", "Which effect?", tables.ranking(d.ranking, len(d.logs) > 1)),
         Section(
-            "apart", "What can be told apart here?", "" if d.isolability is None else tables.isolability(d.isolability)
+            "apart", "Which effects have one course here?", "" if d.isolability is None else tables.isolability(d.isolability)
         ),
         Section("unseen", "What this log cannot say", _unseen(d)),
         Section("left", "What is left?", _left(d)),
@@ -105,7 +105,7 @@ def _where(d: Diagnosis) -> str:
         parts.append("<h3>In time</h3>" + figures.in_time(traces, d, better))
         parts.append("<h3>Along the road</h3>" + figures.along_the_road(traces, d, better))
     if d.where:
-        parts.append("<h3>Places that stand out of the noise</h3>" + tables.where(d.where))
+        parts.append(f"<h3>Places where the {html.escape(wording.base_name(d))} errs by more than noise</h3>" + tables.where(d.where))
     return "".join(parts)
 
 
@@ -170,7 +170,8 @@ def terms(limits: Thresholds) -> dict[str, str]:
         "q value": "share of false places to be expected among those listed down to this one",
         "isolability": (
             "how alike the traces of two effects are on this log, in per cent: from "
-            f"{100 * limits.min_class_correlation:.0f} on they cannot be told apart"
+            f"{100 * limits.min_class_correlation:.0f} on they have one course; effects of different courses can "
+            "explain a log equally well, and are then listed as not told apart"
         ),
         "visible?": (
             "log Bayes factor expected of the effect at its usual size; below "

@@ -1,6 +1,6 @@
 """Values of signals in the units in which people read them: km/h, degrees, degrees Celsius."""
 
-from estimator.report.number_format import number
+from estimator.report.number_format import exponent, rounded
 from estimator.roles import DIMENSION, STATE, Role
 from estimator.units import KMH, conversion_of
 
@@ -23,10 +23,12 @@ SHOWN = {"m/s": (KMH, " km/h"), "m/s^2": (1.0, " m/s²"), "deg": (1.0, "°"), "d
 PER_SECOND = ("°/s", "deg/s")  # of turning vehicles, unlike shafts
 
 
-def with_unit(value: float, unit: str) -> str:
-    """``90 km/h`` for 25 m/s, ``12 °C`` for 12 degC; other units stay."""
+def ends(start: float, end: float, unit: str) -> tuple[str, str]:
+    """``66.2 km/h`` and ``74.0 km/h`` for 18.4 and 20.56 m/s: to two digits of their difference; other units stay."""
     factor, shown = SHOWN.get(unit, (1.0, f" {unit}"))
-    return f"{number(factor * value)}{shown}".strip()
+    low, high = factor * start, factor * end
+    decimals = 0 if low.is_integer() and high.is_integer() else max(1 - exponent(high - low), 0)
+    return f"{rounded(low, decimals)}{shown}".strip(), f"{rounded(high, decimals)}{shown}".strip()
 
 
 def between(role: Role, low: float, high: float) -> str:

@@ -206,11 +206,14 @@ def percent(fraction: float) -> str:
 
 
 def interval(closed: GapClosed | None) -> str:
-    """``91 % (88 to 93 %)``."""
+    """``91 % (88 to 93 %)``; without the interval where its ends are equal to a tenth of a per cent."""
     if closed is None or not math.isfinite(closed.fraction):
         return NOTHING
-    low, high = (signed(f"{100 * q:.0f}") for q in (closed.q05, closed.q95))
-    return f"{percent(closed.fraction)} ({low} to {high} %)"
+    for digits in (0, 1):
+        low, high = (signed(f"{100 * q:.{digits}f}") for q in (closed.q05, closed.q95))
+        if low != high:
+            return f"{percent(closed.fraction)} ({low} to {high} %)"
+    return percent(closed.fraction)
 
 
 def kilowatts(watts: float | None) -> str:

@@ -324,16 +324,15 @@ def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():
     changes = exchange.Changes([Costs(*each) for each in rng.uniform(0.0, CHANGE_COST, (11, 3))])
     for _ in range(20):
         on = rng.random(12) < 0.5
-        more, edges = changes.by_run(on, first, last + 1)
+        more, edges = changes.by_run(on, first, last + 1), exchange.edges_by_run(on, first, last + 1)
         for k, (a, e) in enumerate(zip(first, last + 1, strict=True)):
             if on[a:e].all() or not on[a:e].any():
                 without, with_run = on.copy(), on.copy()
                 without[a:e], with_run[a:e] = False, True
                 sign = -1 if on[a] else 1
                 assert more[k] == pytest.approx(changes.cost(with_run) - changes.cost(without))
-                assert sign * edges[k] == np.count_nonzero(
-                    np.diff(with_run if sign > 0 else without)
-                ) - np.count_nonzero(np.diff(on))
+                after = np.pad(with_run if sign > 0 else without, 1)
+                assert sign * edges[k] == np.count_nonzero(np.diff(after)) - np.count_nonzero(np.diff(np.pad(on, 1)))
 
 
 @pytest.mark.slow

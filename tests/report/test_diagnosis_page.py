@@ -106,7 +106,7 @@ def test_the_terms_say_the_rules_that_the_diagnosis_is_made_by() -> None:
     said = terms(Thresholds(min_probability=0.75, min_class_correlation=0.88, min_expected_log_bf=7.5))
     assert "named from 75 % on" in said["probability"]
     assert "named by its probability" in said["log Bayes factor"]
-    assert "from 88 on they cannot be told apart" in said["isolability"]
+    assert "from 88 on they have one course" in said["isolability"]
     assert "below 7.5 it would go unnoticed" in said["visible?"]
     shown = page(rich())
     for meaning in terms(Thresholds()).values():

@@ -111,9 +111,16 @@ def test_signals_are_read_in_usual_units() -> None:
     assert usual_units.between(Role.YAW_RATE, -np.pi, np.pi) == "-180 .. 180 °/s"
     assert usual_units.between(Role.ENGINE_SPEED, 0.0, 20 * np.pi) == "0 .. 600 rpm"
     assert usual_units.between(Role.GEAR, 1.0, 12.0) == "1 .. 12"
-    places = {(25.0, "m/s"): "90 km/h", (-0.12, "m/s^2"): "\N{MINUS SIGN}0.12 m/s²", (12.5, "degC"): "12.5 °C"}
-    places |= {(90.0, "deg"): "90°", (3.0, ""): "3", (1200.0, "s"): "1,200 s"}
-    assert {place: usual_units.with_unit(*place) for place in places} == places
+    places = {
+        (25.0, 30.0, "m/s"): ("90 km/h", "108 km/h"),
+        (18.4, 20.56, "m/s"): ("66.2 km/h", "74.0 km/h"),
+        (-0.12, 0.3, "m/s^2"): ("\N{MINUS SIGN}0.12 m/s²", "0.30 m/s²"),
+        (15.38, 15.42, "degC"): ("15.380 °C", "15.420 °C"),
+        (45.0, 90.0, "deg"): ("45°", "90°"),
+        (3.0, 4.0, ""): ("3", "4"),
+        (1200.0, 1743.5, "s"): ("1,200 s", "1,744 s"),
+    }
+    assert {place: usual_units.ends(*place) for place in places} == places
     for role in Role:
         assert usual_units.between(role, 0.0, 1.0)
 

@@ -83,7 +83,7 @@ def where(places: Sequence[Place]) -> str:
     rows = [
         (
             html.escape(wording.label(p.axis)),
-            *(html.escape(usual_units.with_unit(at, p.unit)) for at in (p.start, p.end)),
+            *map(html.escape, usual_units.ends(p.start, p.end, p.unit)),
             wording.kilowatts(p.bias),
             _meter(p.share, html.escape(wording.percent(p.share))),
             "&lt; 0.001" if p.q_value < 0.001 else number_format.number(p.q_value),
@@ -137,7 +137,7 @@ def isolability(of: Isolability) -> str:
         for j in range(i)
         if abs(of.correlation[i, j]) >= wording.THRESHOLDS.min_class_correlation
     ]
-    words = f"Cannot be told apart: {'; '.join(pairs)}." if pairs else "No two effects look alike on this log."
+    words = f"Have one course here: {'; '.join(pairs)}." if pairs else "No two effects have one course on this log."
     return f"<p>{html.escape(words)}</p><details><summary>Correlations of all effects</summary>{matrix}</details>"
 
 
