@@ -79,7 +79,7 @@ def _print_traffic(console: Console, run: Run) -> None:
     say(console, f"frames    {traffic.frames:,} read, {traffic.used:,} used, {refused:,} frames or values refused")
     if late := traffic.order.reordered:
         say(console, f"order     {late:,} frames came late, by up to 1 s, and were put in order")
-    for start, end in traffic.gaps:
+    for start, end in traffic.rows.gaps:
         if end < start:
             times = f"from {start - run.start:.1f} s to {end - run.start:.1f} s"
             say(console, f"step      time steps back {times}: another drive")

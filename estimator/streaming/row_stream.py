@@ -4,10 +4,9 @@ Frames are put in order of time and cut into blocks at fixed message times. The 
 arrived, one by one or a million at once.
 """
 
-from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +21,15 @@ from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.config import Config
 from estimator.errors import MissingInputsError
 from estimator.road_map import RoadMap
-from estimator.samples import STEP, Rows
+from estimator.samples import Rows
 from estimator.signals import REFERENCES, Floats, Role
 from estimator.streaming.alignment import MAX_LINE, SPEEDS, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
 from estimator.streaming.missing_inputs import advice, needed, too_seldom
 from estimator.streaming.references import References
-from estimator.streaming.remarks import SwitchUse, constant_friction, dropped_values
+from estimator.streaming.remarks import constant_friction, dropped_values
 from estimator.streaming.resampling import block_bounds
+from estimator.streaming.row_counts import Gap, RowCounts
 
 BLOCK = 5.0  # s of traffic in which senders are judged, and whose rows are handed on together
 MAX_BLOCKS = 1000  # decoded at once, 83 min: bounds the memory where frames are few
@@ -39,12 +39,10 @@ MAX_SILENCE = 30.0
 # s without a frame, after which another drive begins, with another load. Chosen by hand: a silence of `load.stop_s`,
 # 300 s as shipped, is a stop already; a larger value would join drives that `diagnose` judges apart.
 MIN_NEW_DRIVE_SILENCE = 900.0
-SILENT = f"speed and power not read within {MAX_LINE:g} s"
 # Roles whose readings are joined by straight lines; the constants that power is computed from come seldom.
 LINES = frozenset({Role.SPEED, Role.WHEEL_SPEEDS, Role.ENGINE_POWER, Role.ENGINE_TORQUE, Role.TORQUE_FRACTION})
 MIN_INTERVALS, MAX_FIRST = 3, 100  # readings that show how often a signal comes
 NO_TIMES = np.empty(0)
-MAX_GAPS = 1000  # newest gaps that are kept: bounds the memory of a daemon
 MIN_SET_CLOCK = 1_577_836_800.0  # s, start of 2020: before it a clock is not set, and the downtime unknown
 
 
@@ -96,16 +94,12 @@ class RowStream:
         Frames fed.
     start : float or None
         Time of the first frame [s].
-    valid_rows : int
-        Rows with both speed and power.
-    unusable : collections.Counter[str]
-        Rows without speed or power, by reason, since the start of this process.
+    rows : RowCounts
+        Counts of the rows, and the times without speed or power.
     seen : collections.Counter[Role]
         Readings by role.
     newest : dict[Role, float]
         Time of the newest valid reading [s], by role.
-    gaps : collections.deque[tuple[float, float]]
-        Times without speed or power, from and to [s].
     replacements : int
         Number of senders replaced by others; window and vehicle are discarded at each.
     references : References
@@ -123,23 +117,19 @@ class RowStream:
         self.order = TimeOrder()
         self.frames = 0
         self.start: float | None = None
-        self.valid_rows = 0
-        self.unusable: Counter[str] = Counter()
+        self.rows = RowCounts()
         self.seen: Counter[Role] = Counter()
         self.newest: dict[Role, float] = {}
-        self.gaps: deque[tuple[float, float]] = deque(maxlen=MAX_GAPS)
         self.replacements = 0
         self.references = References(self._names)
         self._lines = LINES & frozenset(self._names)
         self._first: dict[Role, Floats] = {}  # times [s] of the first readings
-        self._switches = SwitchUse()
         self._answers = 0  # to OBD-II requests, while nothing else was of use
         self._waiting: list[Frames] = []
         self._last: float | None = None  # time of the newest frame, None when all frames have become rows [s]
         self._until: float | None = None  # time of the newest frame ever [s]
         self._is_restored = False  # and not fed since
         self._same_clock = True  # since the state was saved
-        self._counted_to: float | None = None  # [s], end of the rows without an interruption
         self._block_end = 0.0
 
     def _new(self) -> tuple[Decoder, Aligner]:
@@ -170,7 +160,7 @@ class RowStream:
         """Remarks on probable errors of the database, one line each."""
         return [
             *dropped_values(self._messages, self.errors, self.seen),
-            *self._switches.remarks(self._names),
+            *self.rows.switches.remarks(self._names),
             *constant_friction(self._aligner.constant_friction, self._names),
         ]
 
@@ -229,7 +219,7 @@ class RowStream:
             if any(message.of_any_ecu for message in self._messages):
                 checks += f"; {advice(self._missing_roles(), (), self._messages, 0, self._config)}"
             raise MissingInputsError(f"{source}: no frame came; {checks}")
-        if not self.valid_rows and (reason := self._too_seldom()):
+        if not self.rows.valid and (reason := self._too_seldom()):
             raise MissingInputsError(f"{source}: {reason}")
         if missing := self._missing_roles():
             if names := self._decoder.sent_by_others:
@@ -241,8 +231,8 @@ class RowStream:
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             remedy = advice(missing, self.seen, self._messages, self._answers, self._config)
             raise MissingInputsError(f"{source}: missing inputs: {', '.join(self.missing)}; {remedy}; found: {there}")
-        if not self.valid_rows:
-            counts = (self.errors + self.unusable).most_common(4)
+        if not self.rows.valid:
+            counts = (self.errors + self.rows.unusable).most_common(4)
             reasons = ", ".join(f"{reason} {count}" for reason, count in counts) or "time stands still"
             raise MissingInputsError(f"{source}: not one moment with both speed and power valid: {reasons}")
 
@@ -257,9 +247,9 @@ class RowStream:
             "decoder": self._decoder.state(),
             "aligner": self._aligner.state(),
             "frames": self.frames,
-            "valid_rows": self.valid_rows,
+            "valid_rows": self.rows.valid,
             "seen": {role.value: count for role, count in self.seen.items()},
-            "gaps": list(self.gaps),
+            "gaps": list(self.rows.gaps),
             "until": self._until,
             "replacements": self.replacements,
         }
@@ -280,11 +270,10 @@ class RowStream:
         decoder.restore(substate(state, "decoder"))
         aligner.restore(substate(state, "aligner"))
         frames, valid_rows = read(state, "frames", Count), read(state, "valid_rows", Count)
-        seen, gaps = read(state, "seen", dict[Role, Count]), read(state, "gaps", list[tuple[float, float]])
+        seen, gaps = read(state, "seen", dict[Role, Count]), read(state, "gaps", list[Gap])
         self._until, self.replacements = read(state, "until", float | None), read(state, "replacements", Count)
         self._decoder, self._aligner = decoder, aligner
-        self.frames, self.valid_rows, self.seen = frames, valid_rows, Counter(seen)
-        self.gaps = deque(gaps, maxlen=MAX_GAPS)
+        self.frames, self.rows, self.seen = frames, RowCounts(valid_rows, gaps), Counter(seen)
         self._is_restored, self._same_clock = True, same_clock
 
     def _too_seldom(self) -> str:
@@ -338,12 +327,12 @@ class RowStream:
         for item in self._blocks(np.array([now])):
             if isinstance(item, Block):
                 rest = tuple(self._with_grade(rows) for rows in self._aligner.finish(now))
-                silences = self._silences(rest)
-                self._count(rest)
-                self._counted_to = None
+                silences = self.rows.silences(rest)
+                self.rows.add(rest, self._aligner.silent)
+                self.rows.pause()
                 if silences:
                     yield item
-                    yield silences[0]
+                    yield _silence(*silences[0])
                     item = Block(item.frames[:0], (), item.decoded, (now, now))
                 yield replace(item, rows=(*item.rows, *rest))
             else:
@@ -360,15 +349,15 @@ class RowStream:
             self._block_end = float(decoded.ends[-1]) + BLOCK
             parts = self._aligner.feed_blocks(self.references.take(decoded.readings), decoded.ends)
             rows = [None if part is None else self._with_grade(part) for part in parts]
-            silences = self._silences(rows)
-            self._count([part for part in rows if part is not None])
+            silences = self.rows.silences(rows)
+            self.rows.add([part for part in rows if part is not None], self._aligner.silent)
             edges = [-np.inf, *decoded.ends[:-1].tolist(), np.inf]
             first = 0  # block of those that are handed on with the next rows
             for i, part in enumerate(rows):
                 if part is None and i + 1 < len(rows):
                     continue
                 if i in silences:
-                    yield silences[i]
+                    yield _silence(*silences[i])
                 low, high, span = bounds[first], bounds[i + 1], (edges[first], edges[i + 1])
                 yield Block(frames[low:high], () if part is None else (part,), decoded.readings, span)
                 first = i + 1
@@ -386,7 +375,7 @@ class RowStream:
         self.replacements += 1
         for _ in self._aligner.finish(end):
             pass
-        self._counted_to = None
+        self.rows.pause()
         self._aligner.forget()
         return Interruption(self._block_end - BLOCK, end, is_new_drive=True, is_sender_replaced=True)
 
@@ -400,54 +389,12 @@ class RowStream:
                 if (valid := np.isfinite(part.value)).any():
                     self.newest[role] = float(part.t[valid][-1])
 
-    def _silences(self, parts: Sequence[Rows | None]) -> dict[int, Interruption]:
-        """Interruptions in which speed and power were not read, by index of the part of rows that follows."""
-        interruptions, last = dict[int, Interruption](), self._counted_to
-        for i, rows in enumerate(parts):
-            if rows is None:
-                continue
-            start = float(rows.index[0]) * STEP
-            if last is not None and start - last > STEP / 2:
-                interruptions[i] = Interruption(last, start, is_new_drive=start - last > MIN_NEW_DRIVE_SILENCE)
-            last = float(rows.index[-1] + 1) * STEP
-        return interruptions
-
-    def _count(self, parts: Sequence[Rows]) -> None:
-        """Count the usable rows, and note the times of the others."""
-        if self._aligner.silent:
-            self.unusable[SILENT] = self._aligner.silent
-        begun = [i for i, rows in enumerate(parts) if i == 0 or rows.index[0] > parts[i - 1].index[-1] + 1]
-        for i, end in pairwise([*begun, len(parts)]):
-            first = float(parts[i].index[0]) * STEP
-            if self._counted_to is not None and first - self._counted_to > STEP / 2:
-                self._note_gap(self._counted_to, first)
-            self._count_run(parts[i:end])
-            self._counted_to = float(parts[end - 1].index[-1] + 1) * STEP
-
-    def _count_run(self, parts: Sequence[Rows]) -> None:
-        """Count the usable rows of one run without a gap, and note the times of the others."""
-        self._switches.feed(parts)
-        speed = np.isfinite(np.concatenate([rows.speed for rows in parts]))
-        power = np.isfinite(np.concatenate([rows.power for rows in parts]))
-        fresh = np.concatenate([rows.fresh for rows in parts])
-        self.valid_rows += int((speed & power).sum())
-        self.unusable += Counter({"speed not known": int((~speed).sum()), "power not known": int((~power).sum())})
-        stale = np.concatenate([[False], ~fresh.all(axis=1), [False]])
-        edges = np.flatnonzero(np.diff(stale)).reshape(-1, 2)
-        for start, end in ((parts[0].index[0] + edges) * STEP).tolist():
-            self._note_gap(start, end)
-
-    def _note_gap(self, start: float, end: float) -> None:
-        if self.gaps and start - self.gaps[-1][1] < STEP:
-            start = self.gaps.pop()[0]
-        self.gaps.append((start, end))
-
     def _interrupt(self, t: float) -> Iterator[Block | Interruption]:
         """Finish the rows before a silence or a step in time to ``t`` [s]; signals are not joined across it."""
         last = self._last
         assert last is not None
         yield from self._end()
-        self.gaps.append((last, t))
+        self.rows.gaps.append((last, t))
         interruption = Interruption(last, t, is_new_drive=not 0 <= t - last <= MIN_NEW_DRIVE_SILENCE)
         if interruption.is_step_back:
             self._aligner.forget()
@@ -460,8 +407,13 @@ class RowStream:
         last = self._until
         if last is None:
             return Interruption(None, t, is_new_drive=True)
-        self.gaps.append((last, t))
+        self.rows.gaps.append((last, t))
         same_load = self._same_clock and last >= MIN_SET_CLOCK and 0 <= t - last <= MIN_NEW_DRIVE_SILENCE
         if not same_load:
             self._decoder.release()
         return Interruption(last, t, is_new_drive=not same_load)
+
+
+def _silence(start: float, end: float) -> Interruption:
+    """Interruption in which speed and power were not read."""
+    return Interruption(start, end, is_new_drive=end - start > MIN_NEW_DRIVE_SILENCE)

@@ -25,6 +25,7 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.row_counts import RowCounts
 from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE, RowStream
 from estimator.strides import DURATION
 
@@ -47,19 +48,18 @@ REBUILT = {  # what traffic or the configuration shows again
         "_waiting",
         "_last",
         "_block_end",
-        "_counted_to",
         "_first",
         "_answers",
-        "_switches",
         "_lines",
         "_is_restored",
         "_same_clock",
         "newest",
         "order",
         "references",
+        "rows",
         "start",
-        "unusable",
     },
+    RowCounts: {"_counted_to", "switches", "unusable"},
 }
 
 
@@ -170,8 +170,8 @@ def test_a_short_absence_changes_next_to_nothing(drive, state, uninterrupted, aw
         assert one.mean == pytest.approx(other.mean, abs=0.5 * other.sd)
         assert one.sd == pytest.approx(other.sd, rel=0.2)
     # Lost: the absence, and what had not become rows: at most BLOCK + SETTLE + MAX_DELAY before and a moment after it.
-    assert 0 <= (uninterrupted.traffic.valid_rows - pipeline.traffic.valid_rows) * STEP - away < 12
-    assert any(a == pytest.approx(EPOCH + SAVED, abs=1 + MAX_DELAY) for a, b in pipeline.traffic.gaps)
+    assert 0 <= (uninterrupted.traffic.rows.valid - pipeline.traffic.rows.valid) * STEP - away < 12
+    assert any(a == pytest.approx(EPOCH + SAVED, abs=1 + MAX_DELAY) for a, b in pipeline.traffic.rows.gaps)
     missed = between(drive, SAVED, SAVED + away)
     assert pipeline.traffic.frames + len(missed) == uninterrupted.traffic.frames
 
@@ -247,9 +247,9 @@ def test_the_engine_is_remembered(drive, state):
     part = between(drive, SAVED + 60, SAVED + 200)
     without = part[((part.ident >> 16) & 0xFF) != 0xEC]
     pipeline = restored(state)
-    before = pipeline.traffic.valid_rows
+    before = pipeline.traffic.rows.valid
     run(pipeline, without)
-    assert pipeline.traffic.valid_rows - before > 1300
+    assert pipeline.traffic.rows.valid - before > 1300
 
 
 def test_the_engine_is_remembered_over_a_silence_and_forgotten_when_time_steps_back(drive):
@@ -309,7 +309,9 @@ def test_the_orders_that_lost_come_back_and_those_of_other_signals_are_refused(s
         restored(kept)
 
 
-@pytest.mark.parametrize("kind", [Estimator, StrideStage, RoadInference, PaperInference, Pipeline, RowStream])
+@pytest.mark.parametrize(
+    "kind", [Estimator, StrideStage, RoadInference, PaperInference, Pipeline, RowStream, RowCounts]
+)
 def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
     """A new attribute belongs into the state, or into REBUILT."""
     is_paper = kind is PaperInference
@@ -323,6 +325,7 @@ def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
         PaperInference: (pipeline.estimator._inference, state["estimator"]["inference"]),
         Pipeline: (pipeline, {"traffic": None, **state}),
         RowStream: (pipeline.traffic, state),
+        RowCounts: (pipeline.traffic.rows, {"valid": state["valid_rows"], "gaps": state["gaps"]}),
     }[kind]
     known = {f"_{name}" for name in saved} | set(saved) | REBUILT[kind]
     assert set(vars(one)) <= known

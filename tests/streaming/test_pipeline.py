@@ -137,7 +137,7 @@ def test_one_by_one_or_all_at_once_is_the_same_to_the_bit(short):
     assert whole[1][-1].status == Status.ESTIMATED
     assert single[1] == whole[1]
     assert single[0].estimator.rejected == whole[0].estimator.rejected
-    assert single[0].traffic.gaps == whole[0].traffic.gaps
+    assert single[0].traffic.rows.gaps == whole[0].traffic.rows.gaps
 
 
 @pytest.mark.slow
@@ -166,7 +166,7 @@ def test_two_halves_with_following_times_are_the_whole(drive):
 @pytest.mark.slow
 def test_a_silence_is_a_gap_and_not_bridged(short):
     pipeline, updates = run([between(short, 0, 200), moved(between(short, 200, 360), 100)])
-    gaps = pipeline.traffic.gaps
+    gaps = pipeline.traffic.rows.gaps
     assert any(a == pytest.approx(EPOCH + 200, abs=1) and b == pytest.approx(EPOCH + 300, abs=1) for a, b in gaps)
     strides = pipeline.estimator.window.strides
     t = strides.t[strides.known] - EPOCH
@@ -183,7 +183,7 @@ def test_a_silence_at_the_edge_of_a_batch(short, batch):
     if batch:
         parts = [part[i : i + batch] for part in parts for i in range(0, len(part), batch)]
     pipeline, _ = run(parts)
-    assert [round(b - a) for a, b in pipeline.traffic.gaps if b - a > 1] == [40]
+    assert [round(b - a) for a, b in pipeline.traffic.rows.gaps if b - a > 1] == [40]
 
 
 @pytest.mark.slow
@@ -191,7 +191,7 @@ def test_one_signal_missing_for_a_while_is_a_gap(short):
     speed = (short.ident >> 8) & 0xFFFF == 0xFEF1  # CCVS1
     out = (short.t > EPOCH + 100) & (short.t < EPOCH + 110)
     pipeline, _ = run([short[~(speed & out)]])
-    assert [(round(a - EPOCH), round(b - EPOCH)) for a, b in pipeline.traffic.gaps if b - a > 1] == [(100, 110)]
+    assert [(round(a - EPOCH), round(b - EPOCH)) for a, b in pipeline.traffic.rows.gaps if b - a > 1] == [(100, 110)]
     assert pipeline.estimator.rejected[Reason.SPEED_STALE] >= 98
 
 
@@ -202,14 +202,14 @@ def test_a_long_silence_starts_a_new_window(short, silence, kept):
     t = pipeline.estimator.window.strides.t - EPOCH
     assert np.any(t < 300) == kept
     assert np.any(t > 300 + silence)
-    assert any(b - a == pytest.approx(silence, abs=2) for a, b in pipeline.traffic.gaps)
+    assert any(b - a == pytest.approx(silence, abs=2) for a, b in pipeline.traffic.rows.gaps)
 
 
 @pytest.mark.slow
 def test_a_step_back_of_an_hour(short):
     parts = [between(short, 0, 300), moved(between(short, 300, 360), -3600)]
     pipeline, updates = run(parts)
-    gaps = pipeline.traffic.gaps
+    gaps = pipeline.traffic.rows.gaps
     assert any(a == pytest.approx(EPOCH + 300, abs=1) and b == pytest.approx(EPOCH - 3300, abs=1) for a, b in gaps)
     assert updates[-1].t < EPOCH
     assert np.all(pipeline.estimator.window.strides.t < EPOCH)
@@ -235,7 +235,7 @@ def test_frames_up_to_a_second_late_change_nothing(short, seed):
     straight, late = run([part], **EAGER), run(pieces(part[order], cuts), **EAGER)
     assert late[1] == straight[1]
     assert late[1][-1].status == Status.ESTIMATED
-    assert late[0].traffic.gaps == straight[0].traffic.gaps
+    assert late[0].traffic.rows.gaps == straight[0].traffic.rows.gaps
     assert late[0].traffic.errors == straight[0].traffic.errors
     assert late[0].traffic.order.reordered > len(part) / 2
     assert straight[0].traffic.order.reordered == 0

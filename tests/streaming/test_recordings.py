@@ -43,7 +43,7 @@ def test_kenworth_inputs_and_reference_torque(recordings: Path) -> None:
 
 def test_kenworth_drop_out_is_a_gap(recordings: Path) -> None:
     run: Run = estimate_logs([recordings / "j1939_trucks/kenworth_t270/address_claim_attack.log"], Config(), silent)
-    start, end = max(run.pipeline.traffic.gaps, key=lambda gap: gap[1] - gap[0])
+    start, end = max(run.pipeline.traffic.rows.gaps, key=lambda gap: gap[1] - gap[0])
     assert start - run.start == pytest.approx(15.5, abs=0.3)
     assert end - run.start > 29
     assert run.pipeline.estimator.rejected["speed stale"] > 50

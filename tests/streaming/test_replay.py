@@ -128,4 +128,4 @@ def test_logs_whose_times_follow_are_one_drive(drive: Path, run: Run, tmp_path: 
     assert joined.mass.mean == pytest.approx(run.final.mass.mean, abs=0.3 * run.final.mass.sd)
     swapped = estimate_logs(paths[::-1], CONFIG, silent)
     assert swapped.final.admitted < 0.8 * run.final.admitted
-    assert len(swapped.pipeline.traffic.gaps) >= 1
+    assert len(swapped.pipeline.traffic.rows.gaps) >= 1

@@ -14,7 +14,8 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.alignment import MAX_SILENCE
-from estimator.streaming.row_stream import SILENT, Block, Interruption, RowStream
+from estimator.streaming.row_counts import SILENT
+from estimator.streaming.row_stream import Block, Interruption, RowStream
 
 START = 1.7e9  # s
 CCVS, EEC1 = 0x18FEF100 | EXTENDED, 0x0CF00400 | EXTENDED
@@ -62,7 +63,7 @@ def test_a_pair_of_frames_every_ten_seconds_for_a_day_makes_few_rows(drive: Fram
     assert len(items) < 100  # of 17,280 blocks of 5 s
     blocks = [item for item in items if isinstance(item, Block)]
     assert sum(len(rows) for block in blocks for rows in block.rows) <= (MAX_SILENCE + 10.0) * 10
-    assert stream.unusable[SILENT] > 863_000
+    assert stream.rows.unusable[SILENT] > 863_000
     assert sum(len(block.frames) for block in blocks) == 2 * 8640
 
 
@@ -80,7 +81,7 @@ def test_inputs_that_come_too_seldom_are_told_with_the_unit_that_would_fit(drive
 def test_inputs_that_come_every_second_are_used(drive: Frames) -> None:
     stream = RowStream(from_dict({}))
     list(stream.feed_all([pairs(drive, 1.0, 300)]))
-    assert not stream.unusable[SILENT]
+    assert not stream.rows.unusable[SILENT]
     with pytest.raises(MissingInputsError, match="missing inputs"):
         stream.require_inputs("a.log")
 
@@ -104,7 +105,7 @@ def test_rows_around_thin_traffic_do_not_depend_on_the_batches(drive: Frames, ba
         assert rows.index.tolist() == others.index.tolist()
         for name in ("speed", "power", "fresh"):
             assert getattr(rows, name).tobytes() == getattr(others, name).tobytes()
-    silence = [end - start for start, end in stream.gaps]
+    silence = [end - start for start, end in stream.rows.gaps]
     assert max(silence) == pytest.approx(170.0, abs=6.0)
 
 
@@ -116,7 +117,7 @@ def test_a_short_gap_in_speed_and_power_keeps_its_rows(drive: Frames, gap: float
     stream = RowStream(from_dict({}))
     parts = rows_of(stream, [traffic])
     assert [type(part) for part in parts] == ([Rows, float, Rows] if is_silent else [Rows])
-    assert bool(stream.unusable[SILENT]) == is_silent
+    assert bool(stream.rows.unusable[SILENT]) == is_silent
 
 
 def test_a_drive_after_an_hour_of_thin_traffic_is_another_one(drive: Frames) -> None:
