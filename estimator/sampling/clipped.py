@@ -55,10 +55,6 @@ class Sums:
     def __sub__(self, other: "Sums") -> "Sums":
         return Sums(self.G - other.G, self.b - other.b, self.s - other.s, self.n - other.n)
 
-    def through(self, M: Floats, unit: float = 1.0) -> "Sums":
-        """Transform the sums to X M in place of X, with ``M`` (p, q), and y / ``unit`` in place of y."""
-        return Sums(M.T @ self.G @ M, M.T @ self.b / unit, self.s / unit**2, self.n)
-
     @cached_property
     def _form(self) -> Floats:
         return np.block([[self.G, -self.b[:, None]], [-self.b, np.zeros(1)]])

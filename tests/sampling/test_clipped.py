@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.model.road_load import design
-from estimator.sampling.clipped import ClippedGaussianTarget, Sums, clipped_least_squares
+from estimator.sampling.clipped import ClippedGaussianTarget, clipped_least_squares
 from estimator.sampling.likelihood import in_box
 
 TRUTH = np.array([1800.0, 3.7, 27_000.0])
@@ -108,13 +108,3 @@ def test_too_few_samples_leave_the_box(n):
     target = ClippedGaussianTarget(X, P, LOWER, UPPER)
     assert np.isfinite(target.log_density(np.array([LOWER, UPPER, TRUTH]))).all()
     assert np.isfinite(target.curvature(TRUTH[None])).all()
-
-
-def test_sums_of_other_residuals_columns_and_units():
-    X, P = drive("ordinary", 500, 5, 1e4, 1.0)
-    theta, M = np.array([1000.0, 2.0, 20_000.0]), np.random.default_rng(1).normal(size=(3, 2))
-    found = Sums.of(X, P - X @ theta).through(M, 7.0)
-    y = (P - X @ theta) / 7
-    for have, want in (found.G, (X @ M).T @ X @ M), (found.b, M.T @ X.T @ y), (found.s, y @ y):
-        assert have == pytest.approx(want, rel=1e-9)
-    assert found.n == 500
