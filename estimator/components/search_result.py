@@ -87,7 +87,8 @@ class SearchResult:
     ``nameless``: processes in addition to the chosen effects; ``low_pass``: only the low-pass of the speed, None where
     it is no candidate; ``beyond_low_pass``: the other processes, in addition to the low-pass too. ``log_bf_effects``
     and ``log_bf_processes``: log Bayes factors of the best hypothesis without any process, and of the best one without
-    any effect. ``log_posterior``: log evidence of the drives with the chosen hypothesis plus its log prior odds.
+    any effect; ``log_bf_chosen_processes``: of the chosen hypothesis without its effects. ``log_posterior``: log
+    evidence of the drives with the chosen hypothesis plus its log prior odds.
     ``other_hypotheses``: what these add to the mean and covariance of the road load, for each drive.
 
     The kind of road is compared afterwards. ``slopes``: log Bayes factor of a sloping road over a level one; None if
@@ -104,6 +105,7 @@ class SearchResult:
     beyond_low_pass: NamelessProcess
     log_bf_effects: float
     log_bf_processes: float
+    log_bf_chosen_processes: float
     log_posterior: float
     other_hypotheses: tuple[OtherHypotheses, ...]
     low_pass: NamelessProcess | None = None
@@ -163,9 +165,8 @@ def search_result(
     low_pass = {i for i in unnamed if space.term(i).name == LOW_PASS}
     none = space.log_evidence(road, check_limits=False)
 
-    def log_bf_without(excluded: Set[int]) -> float:
-        """Log Bayes factor of the most probable hypothesis without ``excluded``; 0 where it is negative."""
-        hypothesis = next(hypothesis for hypothesis in table.hypotheses if not excluded & set(hypothesis))
+    def log_bf(hypothesis: Sequence[int]) -> float:
+        """Log Bayes factor of a hypothesis; 0 where it is negative."""
         return max(space.log_evidence(hypothesis, check_limits=False) - none, 0.0)
 
     return SearchResult(
@@ -177,12 +178,18 @@ def search_result(
         probability_of_none=1 - table.probability_of_any([*of_kind[Kind.EFFECT], *unnamed]),
         nameless=_nameless(space, table, groups, named, unnamed),
         beyond_low_pass=_nameless(space, table, groups, [*named, *low_pass], unnamed - low_pass),
-        log_bf_effects=log_bf_without(unnamed),
-        log_bf_processes=log_bf_without(of_kind[Kind.EFFECT]),
+        log_bf_effects=log_bf(_best_without(unnamed, table)),
+        log_bf_processes=log_bf(_best_without(of_kind[Kind.EFFECT], table)),
+        log_bf_chosen_processes=log_bf([i for i in best if i not in of_kind[Kind.EFFECT]]),
         log_posterior=log_evidence(states) + space.log_prior(best, groups),
         other_hypotheses=space.other_hypotheses(table, best),
         low_pass=_nameless(space, table, groups, named, low_pass) if low_pass else None,
     )
+
+
+def _best_without(excluded: Set[int], table: ModelTable) -> Hypothesis:
+    """Most probable hypothesis of the table without any of the terms ``excluded``."""
+    return next(hypothesis for hypothesis in table.hypotheses if not excluded & set(hypothesis))
 
 
 def _chosen_effect(

@@ -136,11 +136,12 @@ class Decision:
     def nameless_explains_more(self) -> bool:
         """True if the best processes alone have more evidence than the best effects alone.
 
-        Processes count if one acts with a probability above `min_probability_no_gap`; a force that varies with place
-        always counts. Where a lag is named, the evidence of a low-pass of the speed counts for the effects.
+        Processes count if those of the chosen hypothesis have evidence without its effects: others only add to what
+        the effects explain. A force that varies with place always counts. Where a lag is named, the evidence of a
+        low-pass of the speed counts for the effects.
         """
-        likely = self.nameless.probability > self.thresholds.min_probability_no_gap
-        log_bf_processes = self.result.log_bf_processes if likely else 0.0
+        is_independent = self.result.log_bf_chosen_processes > self.thresholds.min_log_bf_unknown
+        log_bf_processes = self.result.log_bf_processes if is_independent else 0.0
         log_bf_effects = self.result.log_bf_effects + (0.0 if self.lag is None else log_bf_low_pass(self.result))
         return log_bf_effects < max(log_bf_processes, self.log_bf_force_by_place)
 

@@ -53,9 +53,7 @@ def _sections(d: Diagnosis) -> list[Section]:
         Section("power", "Power, measured and modelled", _power(d)),
         Section("where", "Where does it lie?", _where(d)),
         Section("which", "Which effect?", tables.ranking(d.ranking, len(d.logs) > 1)),
-        Section(
-            "apart", "Which effects have one course here?", "" if d.isolability is None else tables.isolability(d.isolability)
-        ),
+        Section("apart", "Which effects have one course?", _apart(d)),
         Section("unseen", "What this log cannot say", _unseen(d)),
         Section("left", "What is left?", _left(d)),
         Section("terms", "Terms", _terms(wording.THRESHOLDS) if d.rms_base is not None else ""),
@@ -105,7 +103,8 @@ def _where(d: Diagnosis) -> str:
         parts.append("<h3>In time</h3>" + figures.in_time(traces, d, better))
         parts.append("<h3>Along the road</h3>" + figures.along_the_road(traces, d, better))
     if d.where:
-        parts.append(f"<h3>Places where the {html.escape(wording.base_name(d))} errs by more than noise</h3>" + tables.where(d.where))
+        heading = f"Places where the {wording.base_name(d)} errs by more than noise"
+        parts.append(f"<h3>{html.escape(heading)}</h3>{tables.where(d.where)}")
     return "".join(parts)
 
 
@@ -118,6 +117,10 @@ def _complete(traces: Traces | None) -> Traces | None:
     if columns.shape[1] < 2:
         return None
     return Traces(**{field.name: column for field, column in zip(fields(Traces), columns, strict=True)})
+
+
+def _apart(d: Diagnosis) -> str:
+    return "" if d.isolability is None else tables.isolability(d.isolability)
 
 
 def _unseen(d: Diagnosis) -> str:

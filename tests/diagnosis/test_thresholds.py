@@ -1,11 +1,15 @@
 """The diagnosis decides by the thresholds that it is given."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from simulated_logs import drive, written
 
 from estimator.answers.diagnosis import Verdict
 from estimator.config import Config
+from estimator.diagnosis import decision
+from estimator.diagnosis.decision import Decision
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import BY_NAME
@@ -26,3 +30,14 @@ def test_an_effect_is_named_where_its_probability_exceeds_the_threshold(tmp_path
 
     never = diagnose(records, (), np.random.default_rng(1), effects, Thresholds(min_probability=1.1))
     assert never.verdict is not Verdict.EFFECT
+
+
+@pytest.mark.parametrize(("alone", "is_more"), [(300.0, True), (2.9, False)])
+def test_processes_that_only_add_to_effects_do_not_speak_against_them(monkeypatch, alone, is_more):
+    """Processes can imitate an effect and what it leaves together; then those found beside it are nothing alone."""
+    monkeypatch.setattr(decision, "lag_finding", lambda *_: None)
+    result = SimpleNamespace(
+        log_bf_effects=504.0, log_bf_processes=602.0, log_bf_chosen_processes=alone, is_sloping=False, is_hilly=False
+    )
+    decided = Decision(result=result, budget=None, cases=(), start=(), thresholds=Thresholds())
+    assert decided.nameless_explains_more is is_more
