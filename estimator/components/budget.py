@@ -68,13 +68,14 @@ class Residuals:
 
     ``plain``: of the road load on a level road; ``given``: with the given effects; ``held_out``: with all chosen terms,
     on stretches left out of the fit. ``road_known``: as ``held_out``, but with the slopes of the road's state instead
-    of those that the road signals show on these stretches.
+    of those that the road signals show on these stretches. ``causes``: power of each chosen term and the road there.
     """
 
     plain: Floats
     given: Floats
     held_out: Floats
     road_known: Floats
+    causes: Mapping[str, Floats]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,6 +90,10 @@ class Budget:
     def part(self, cause: str) -> Part | None:
         """Part of one cause, None if it has none."""
         return next((part for part in self.parts if part.cause == cause), None)
+
+    def residual_with(self, causes: Collection[str]) -> float:
+        """Residual rms [W] with several ``causes`` in the model, on stretches left out of the fit."""
+        return _rms(np.concatenate([_without(drive.given, drive.causes, causes) for drive in self.residuals]))
 
     def renamed(self, cause: str, to: str) -> "Budget":
         """Copy of the budget with another name for a cause."""
@@ -183,6 +188,7 @@ def _residuals(drive: _Powers, given: Collection[str]) -> Residuals:
         given=_without(drive.residual, drive.held_out, given),
         held_out=_without(drive.residual, drive.held_out, drive.held_out),
         road_known=_without(drive.residual, with_road, with_road),
+        causes=dict(drive.held_out),
     )
 
 
@@ -230,26 +236,32 @@ def _part(
 
 
 def _powers(drive: DriveState, others: Sequence[Term], unnamed: Sequence[Term], rng: np.random.Generator) -> _Powers:
+    plain, mass = PlainModel(drive.fit), 1 / drive.fit.beta[:1]
+    held_out = _held_out(drive, [_name(term) for term in drive.chosen])
     added = (*others, *unnamed)
     joint, terms = drive.joint_with(added), [*drive.chosen, *added]
-    plain = PlainModel(drive.fit)
     amplitudes = _amplitudes(joint, terms, rng)
     masses = joint.unit[0] / amplitudes[0]
     draws = {
-        _name(term): plain.residual(
-            plain.as_power(joint.acceleration(joint.term_columns[i], amplitudes[joint.term_columns[i]]), masses)
-        )
+        _name(term): _power(plain, joint.acceleration(joint.term_columns[i], amplitudes[joint.term_columns[i]]), masses)
         for i, term in enumerate(terms)
     }
     for cause, part in _road_and_noise(drive, joint, amplitudes, rng):
-        draws[cause] = plain.residual(plain.as_power(part, masses))
-    held_out = _held_out(drive, [_name(term) for term in drive.chosen])
-    mass = 1 / drive.fit.beta[:1]
+        draws[cause] = _power(plain, part, masses)
     return _Powers(
         plain.residual(plain.power),
         draws,
-        {cause: plain.residual(plain.as_power(part, mass)[:, 0]) for cause, part in held_out.items()},
+        {cause: _power(plain, part[:, None], mass)[:, 0] for cause, part in held_out.items()},
     )
+
+
+def _power(plain: PlainModel, acceleration: Floats, masses: Floats) -> Floats:
+    """Power [W] (k, d), means over 2 s, off the plain road load, of draws (n, d) of an ``acceleration`` [m/s^2]."""
+    power = np.empty((len(plain.second), len(masses)))
+    for at in range(0, len(masses), TOGETHER):
+        some = slice(at, at + TOGETHER)
+        power[:, some] = plain.residual(plain.as_power(acceleration[:, some], masses[some]))
+    return power
 
 
 def _road_and_noise(
@@ -270,13 +282,18 @@ def _road_and_noise(
     if not drive.is_level:
         slopes += joint.acceleration(joint.stretches, amplitudes[joint.stretches])
         yield ROAD, slopes
+    del slopes
     scales = drive.fit.scales.values
     remaining, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + remaining))[:, None]
     doubt = np.sqrt(share * (1 - share) * (remaining + disturbance**2)[:, None])
-    gusts = share * white + doubt * rng.standard_normal(white.shape)
+    gusts = rng.standard_normal(white.shape)
+    gusts *= doubt
+    gusts += share * white
     yield WHITE, gusts
-    yield NOISE, errors + white - gusts
+    errors += white
+    errors -= gusts
+    yield NOISE, errors
 
 
 def _amplitudes(joint: JointLikelihood, terms: Sequence[Term], rng: np.random.Generator) -> Floats:

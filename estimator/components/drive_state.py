@@ -107,6 +107,10 @@ class DriveState:
         fitted = refit(self.fit, self.strides, effect_terms, self.rests)
         return replace(self, fit=fitted, chosen=chosen, stretches=stretches)
 
+    def bare(self) -> "DriveState":
+        """Copy without the model and the likelihood, which a drive keeps once they are asked for."""
+        return replace(self)
+
     @property
     def magnitudes(self) -> Floats:
         """Magnitudes (c,) of the chosen effects, each in its own unit."""

@@ -65,7 +65,7 @@ class HypothesisSpace:
         given: Sequence[tuple[Term, ...]],
         candidates: Sequence[Iterable[CandidateTerm]],
     ) -> None:
-        self.drives, self.given = drives, given
+        self.drives, self.given = [drive.bare() for drive in drives], given
         terms: dict[Key, dict[int, Term]] = defaultdict(dict)
         for number, candidates_on_drive in enumerate(candidates):
             for candidate in candidates_on_drive:

@@ -159,11 +159,12 @@ class Search:
 
     def _round(self, states: tuple[DriveState, ...], size: int, with_processes: bool, with_stretches: bool) -> _Round:
         """Make a table at the present scales, of hypotheses of up to ``size`` terms, or one more than act already."""
+        drives = tuple(state.bare() for state in states)  # what this round computes is not in memory in the next
         candidates = [
-            self._candidates.on_drive(number, state, with_processes, with_stretches)
-            for number, state in enumerate(states)
+            self._candidates.on_drive(number, drive, with_processes, with_stretches)
+            for number, drive in enumerate(drives)
         ]
-        space = HypothesisSpace(states, self._given, candidates)
+        space = HypothesisSpace(drives, self._given, candidates)
         start = space.fitted_hypothesis() if with_processes else ()  # processes come to the effects found without them
         max_terms = max(size, len(start) + 1)
         table = weigh(space, space.groups(), min(max_terms, MAX_TERMS), start)

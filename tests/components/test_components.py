@@ -18,7 +18,7 @@ from scipy.signal import find_peaks
 from scipy.stats import multivariate_normal
 
 from estimator.components import edges, exchange, switching
-from estimator.components.budget import NOISE, ROAD, WHITE, budget
+from estimator.components.budget import NOISE, ROAD, WHITE, Budget, Residuals, budget
 from estimator.components.candidate_terms import CandidateTerms, EarlierTerms
 from estimator.components.drive_state import DriveState
 from estimator.components.hypothesis_space import HypothesisSpace
@@ -657,6 +657,22 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     assert known.part("auxiliary_cycling").held_out_rms is None
     counted = [x for x in known.parts if x.cause not in (NOISE, WHITE)]  # the error of a given cause is of the gap too
     assert sum(x.closed[0] for x in counted) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_residual_with_some_causes_is_that_of_all_drives_without_their_powers():
+    rng = np.random.default_rng(3)
+    drives = [
+        Residuals(plain=r, given=r, held_out=r, road_known=r, causes=causes)
+        for r, causes in (
+            (rng.normal(size=50), {"a": rng.normal(size=50), "b": rng.normal(size=50)}),
+            (rng.normal(size=30), {"b": rng.normal(size=30)}),
+        )
+    ]
+    whole = Budget(base=1.0, held_out_rms=1.0, parts=(), residuals=tuple(drives))
+    left = np.concatenate([drives[0].given - drives[0].causes["a"] - drives[0].causes["b"]])
+    left = np.concatenate([left, drives[1].given - drives[1].causes["b"]])
+    assert whole.residual_with(["a", "b"]) == pytest.approx(np.sqrt(np.mean(left**2)))
+    assert whole.residual_with([]) == pytest.approx(np.sqrt(np.mean(np.concatenate([d.given for d in drives]) ** 2)))
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ IMPOSSIBLE = 9  # a term whose magnitude is beyond its limit once the scales are
 
 def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> Any:
     is_possible = IMPOSSIBLE not in chosen
-    return SimpleNamespace(
+    drive = SimpleNamespace(
         log_evidence=log_evidence,
         chosen=(),
         magnitudes=np.empty(0),
@@ -43,6 +43,8 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
         is_possible=lambda given: is_possible,
         **{"has_unusual_noise": False, "is_road_hidden": False} | further,
     )
+    drive.bare = lambda: drive
+    return drive
 
 
 def rounds(
