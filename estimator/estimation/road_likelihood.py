@@ -81,12 +81,21 @@ def taken_by(
     sizes: Floats,
     density: Floats | None = None,
 ) -> Floats:
-    """Force [N] (n,) that ``terms`` of these ``sizes`` take from acceleration, but for those computed from it."""
-    view, total = view_of(strides, force, road_load, 0.0, density), np.zeros(len(strides))
+    """Force [N] (n,) that ``terms`` of these ``sizes`` take from acceleration.
+
+    An inertia I takes I / (m + I) of the force that accelerates. Other terms that are computed from the force or the
+    acceleration take none.
+    """
+    view = view_of(strides, force, road_load, 0.0, density)
+    total, inertia = np.zeros((2, len(strides)))
     for term, size in zip(terms, sizes.tolist(), strict=True):
-        if not term.effect.is_noisy:
+        if term.effect.inertia is not None:
+            inertia += max(size, 0.0) * term.effect.inertia(view)
+        elif not term.effect.is_noisy:
             total += size * term.column(view) / strides.speed
-    return total
+    m = float(road_load[2])
+    taken: Floats = total + inertia / (m + inertia) * (m * view.a - total)
+    return taken
 
 
 def columns(

@@ -37,6 +37,7 @@ CLEAR = 5.0  # log evidence by which scales of other orders are clearly less pro
 MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
 MAX_EXPONENT = 500.0  # of the exponential function in floating point
 PASSES = 2  # of the coefficients, given the scales, that effects scale with
+INERTIA_PASSES = 6  # where one is an inertia: of half the mass of the vehicle, 0.3 % of it are left
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
 
@@ -147,15 +148,13 @@ class Search:
 
     def given(self, scales: RoadScales) -> tuple[Likelihood, RoadScales, float]:
         """Likelihood and log evidence at the given ``scales``; effects scale with the road load fitted there."""
-        for _ in range(PASSES if self._terms else 0):
-            self._follow(self.likelihood(scales), scales)
-        likelihood = self.likelihood(scales)
+        likelihood = self._settled(scales, PASSES if self._terms else 0)
         return likelihood, scales, likelihood.log_evidence(scales.values) - scales.price
 
     def improved(self, known: RoadScales) -> tuple[Likelihood, RoadScales, float]:
         """The most probable scales from those ``known``, of the same orders; their likelihood and log evidence."""
         scales, evidence = self._lagged(known)
-        return self.likelihood(scales), scales, evidence
+        return self._settled(scales), scales, evidence
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
         """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
@@ -179,7 +178,7 @@ class Search:
         for alpha in () if scales.alpha == LEVEL else ALPHAS:
             if alpha != scales.alpha:
                 scales, evidence, _ = self._better(scales, evidence, replace(scales, alpha=alpha))
-        return self.likelihood(scales), replace(scales, lost=tuple(self._lost)), evidence
+        return self._settled(scales), replace(scales, lost=tuple(self._lost)), evidence
 
     def _central(self, level: bool) -> RoadScales:
         """Scales at the centres of their priors, without noise of the power."""
@@ -262,6 +261,13 @@ class Search:
             wanted = np.clip(LAGS[scales.lag] + left, -self._longest_lag, self._longest_lag)
             scales = replace(scales, lag=int(np.argmin(np.abs(LAGS - wanted))))
         return max(found.values(), key=lambda pair: pair[1])
+
+    def _settled(self, scales: RoadScales, passes: int = 0) -> Likelihood:
+        """The likelihood with what effects take at ``scales``; an inertia takes of the acceleration it is fitted to."""
+        has_inertia = any(term.effect.inertia is not None for term in self._terms)
+        for _ in range(max(passes, INERTIA_PASSES if has_inertia else 0)):
+            self._follow(self.likelihood(scales), scales)
+        return self.likelihood(scales)
 
     def _follow(self, likelihood: Likelihood, scales: RoadScales) -> float:
         """Take the road load, and what effects take, as they are at ``scales``; the lag [s] that its place leaves."""

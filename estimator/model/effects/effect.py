@@ -149,6 +149,8 @@ class Effect:
     magnitude_from_coefficient
         Magnitude from its coefficient, where the column uses the acceleration that the force would cause without the
         effect; None: they are equal.
+    inertia
+        Inertia [kg] (n,) per unit of magnitude, of an effect that takes force in proportion to the acceleration.
     shown_by
         Signal or manoeuvre that would show that it acts.
     """
@@ -177,6 +179,7 @@ class Effect:
     is_absorbed: bool = False
     equivalent: tuple[str, ...] = ()
     magnitude_from_coefficient: Callable[[float], float] | None = None
+    inertia: Callable[[View], Floats] | None = None
     shown_by: str = ""
 
     def usable_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:

@@ -44,6 +44,12 @@ def _finer_oils(oil: Shape, size: float) -> tuple[Shape, ...]:
     return tuple((*near, churned) for near in finer_excesses((time, steepness), size))
 
 
+def _crank(view: View) -> Floats:
+    """Inertia [kg] (n,) that the vehicle feels per 1 kg m^2 on the crankshaft."""
+    inertia: Floats = (view.context[Quantity.ENGINE_SPEED] / view.v) ** 2
+    return inertia
+
+
 VISCOUS_DRAG = Effect(
     name="viscous_drag",
     equation="B v^2",
@@ -132,7 +138,8 @@ ROTATING_INERTIA = Effect(
     source="kinetic energy of engine and flywheel",
     symbol="J",
     unit="kg m^2",
-    power=lambda view, shape: view.context[Quantity.ENGINE_SPEED] ** 2 * view.a / view.v,
+    power=lambda view, shape: _crank(view) * view.a * view.v,
+    inertia=_crank,
     usual_magnitude=by_mass(3.0),
     max_size=10.0,
     needs=(Quantity.ENGINE_SPEED,),
