@@ -286,7 +286,8 @@ def load(path: Path | str | None = None) -> Config:
         tables = tomllib.loads(text)
     except OSError as error:
         there = f"; configurations that are shipped: {', '.join(sorted(_shipped()))}" if _is_bare(path) else ""
-        raise ConfigError(f"{path}: {error.strerror}{there}") from error
+        proposal = "; roadload init writes one" if isinstance(error, FileNotFoundError) else ""
+        raise ConfigError(f"{path}: {error.strerror}{there}{proposal}") from error
     except (ValueError, RecursionError) as error:  # also bytes that are not UTF-8, and numbers of thousands of digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
     try:

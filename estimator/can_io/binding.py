@@ -188,7 +188,10 @@ def _find(database: Database, path: str, setting: str) -> tuple[Message, Signal]
     left_out = "".join(f"; {remark}" for remark in remarks)
     if not messages:
         near = ", ".join(nearest(message_name, [message.name for message in database.messages])) or "none"
-        raise DatabaseError(f"{setting}: the DBC has no message {message_name!r}; the nearest are {near}{left_out}")
+        raise DatabaseError(
+            f"{setting}: the DBC has no message {message_name!r}; the nearest are {near}; roadload init proposes "
+            f"signals of a database{left_out}"
+        )
     if len(messages) > 1:
         raise DatabaseError(f"{setting}: the DBC has more than one message {message_name!r}; leave one of them in it")
     message = messages[0]

@@ -128,5 +128,16 @@ def _array(column: Any) -> NDArray[Any]:
 
 
 def as_drives(drives: Drive | Sequence[Drive]) -> list[Drive]:
-    """One drive, or several, as a list."""
-    return [drives] if isinstance(drives, Drive) else list(drives)
+    """One drive, or several, as a list.
+
+    Raises
+    ------
+    InputError
+        Something else is given: a path, or columns.
+    """
+    several = [drives] if isinstance(drives, Drive) else drives
+    if isinstance(several, str | Mapping) or not all(isinstance(drive, Drive) for drive in several):
+        raise InputError(
+            f"drives: is {type(drives).__name__}; give read(path), from_table(data, ...) or a list of these"
+        )
+    return list(several)

@@ -215,6 +215,8 @@ class RowStream:
             A needed signal never came, never with a valid value, or too seldom to be used.
         """
         if not self.frames:
+            if self._config.table is not None:
+                raise MissingInputsError(f"{source}: has no row; give one with speed and power")
             checks = "check the bit rate, the wiring and the filters"
             if any(message.of_any_ecu for message in self._messages):
                 checks += f"; {advice(self._missing_roles(), (), self._messages, 0, self._config)}"

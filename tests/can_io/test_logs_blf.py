@@ -236,7 +236,7 @@ def test_what_the_message_proposes_saves_the_frames(tmp_path: Path, monkeypatch:
     path.write_bytes(written(path, 2000, 4096)[:-1000])
     frames, text = refuse(path)
     repaired = tmp_path / "repaired.blf"
-    assert f"can_logconvert '{path}' repaired.blf" in text
+    assert f"python -m can.logconvert '{path}' repaired.blf" in text
     monkeypatch.setattr("sys.argv", ["can_logconvert", str(path), str(repaired)])
     logconvert.main()
     assert 0 < frames == sum(map(len, open_log(repaired)))

@@ -279,7 +279,7 @@ def test_a_trace_of_another_program_is_told_from_one_of_pcan_view(tmp_path: Path
 def test_what_no_converter_reads_is_not_sent_to_one(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="export it as one of them") as caught:
         open_log(written(tmp_path / "monitor.txt", "Time\tID\tD0\n1\t257\t00\n"))
-    assert "can_logconvert" not in str(caught.value)
+    assert "logconvert" not in str(caught.value)
 
 
 def test_a_line_without_end_is_refused_before_it_is_read_whole(tmp_path: Path) -> None:
@@ -304,7 +304,7 @@ def test_blf_at_an_object_of_0_bytes_advises_no_converter() -> None:
     message = refusal(LOGS / "blf_object_of_size_0.blf")
     assert "an object of 0 bytes" in message
     assert "after 100 frames" in message
-    assert "can_logconvert" not in message
+    assert "logconvert" not in message
 
 
 def test_blf_objects_before_containers_are_read(tmp_path: Path) -> None:

@@ -113,9 +113,9 @@ def test_shipped_configurations_have_names_and_files_come_first(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert config.load("obd2").bus.match == "obd"
-    with pytest.raises(ConfigError, match=r"^obd3: No such file or directory; .* shipped: obd2$"):
+    with pytest.raises(ConfigError, match=r"^obd3: No such file or directory; .* shipped: obd2; roadload"):
         config.load("obd3")
-    with pytest.raises(ConfigError, match=r"^obd2\.toml: No such file or directory$"):
+    with pytest.raises(ConfigError, match=r"^obd2\.toml: No such file or directory; roadload init"):
         config.load("obd2.toml")
     (tmp_path / "obd2").write_text('effects = ["grade"]')
     assert config.load("obd2").effects == ["grade"]

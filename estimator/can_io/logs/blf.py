@@ -143,7 +143,11 @@ class BlfLog(Log):
         unclosed = "its writer never closed it; " if header.objects == 0 else ""
         # At an object that is too small, python-can's converter may never end.
         is_worth_keeping = frames and TOO_SMALL not in fault
-        keep = f"to keep those: can_logconvert '{self.path}' repaired.blf" if is_worth_keeping else "copy it anew"
+        keep = (
+            f"to keep those: python -m can.logconvert '{self.path}' repaired.blf"
+            if is_worth_keeping
+            else "copy it anew"
+        )
         return LogError(
             f"{self.path}: damaged or cut at byte {offset} ({fault}) after {frames} frames; {unclosed}{keep}"
         )
