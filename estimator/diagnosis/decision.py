@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import expit
 
 from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import ROAD, UNKNOWN, Budget, budget
@@ -67,6 +68,16 @@ class Decision:
         """Log Bayes factor of slopes that are not those of a road, hence a force that varies with place; 0 if none."""
         is_force = self.result.is_sloping and not self.result.is_hilly
         return (self.result.slopes or 0.0) if is_force else 0.0
+
+    @property
+    def probability_of_unknown(self) -> float:
+        """Probability that a nameless process acts, or a force that varies with place.
+
+        Of slopes that are not those of a road, `min_log_bf_slopes` are the prior odds.
+        """
+        odds_of_force = self.log_bf_force_by_place - self.thresholds.min_log_bf_slopes
+        no_force = float(expit(-odds_of_force)) if self.log_bf_force_by_place else 1.0
+        return 1.0 - (1.0 - self.nameless.probability) * no_force
 
     @cached_property
     def road_load(self) -> tuple[Shift, Shift]:
@@ -150,6 +161,8 @@ class Decision:
 
         The evidence of nameless processes has to be above the limit and above what errors of form can give.
         """
+        if self.verdict() is Verdict.UNKNOWN:
+            return Verdict.UNKNOWN
         least = max(self.thresholds.min_log_bf_left, self._error_of_lag, self.result.error_of_form)
         return Verdict.UNKNOWN if self.log_bf_unknown > least else Verdict.NO_GAP
 

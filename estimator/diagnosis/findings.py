@@ -31,10 +31,15 @@ SHOWN_IN_PART, SHOWN = 0.1, 0.9  # share of the reduction by a known road that i
 
 
 def named_findings(decision: Decision) -> tuple[Finding, ...]:
-    """The road, the effects that are named, and the lag."""
+    """The road, the effects that are named, and the lag; each residual is with the causes before it too."""
     road = [_road_finding(decision)] if decision.is_road_named else []
     lag = [] if decision.lag is None else [decision.lag]
-    return (*road, *(_effect_finding(decision, effect) for effect in decision.named), *lag)
+    shown = [ROAD for finding in road if finding.magnitude.name == SHOWN_SLOPE]
+    effects = [
+        _effect_finding(decision, effect, [*shown, *(other.name for other in decision.named[:i])])
+        for i, effect in enumerate(decision.named)
+    ]
+    return (*road, *effects, *lag)
 
 
 def candidate_findings(decision: Decision, named: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -96,7 +101,8 @@ def _hidden_road_finding(decision: Decision) -> Finding:
     )
 
 
-def _effect_finding(decision: Decision, chosen: ChosenEffect) -> Finding:
+def _effect_finding(decision: Decision, chosen: ChosenEffect, before: Sequence[str]) -> Finding:
+    """Finding of a chosen effect; its residual is with the causes named ``before`` it."""
     drives, budget = decision.result.drives, decision.budget
     drive = drives[chosen.drive]
     number = next(i for i, term in enumerate(drive.chosen) if term.name == chosen.name)
@@ -114,16 +120,18 @@ def _effect_finding(decision: Decision, chosen: ChosenEffect) -> Finding:
         if term.name == chosen.name
         for span in _log_spans(decision, drive_number, term.spans or ())
     ]
-    alternatives = {*rivals, Verdict.UNKNOWN.value} if decision.nameless_explains_more else rivals
+    is_nameless_rival = probability < decision.thresholds.min_probability and decision.nameless.probability > MIN_RIVAL
+    if decision.nameless_explains_more or is_nameless_rival:
+        rivals.add(Verdict.UNKNOWN.value)
     return Finding(
         name=chosen.name,
         probability=probability,
         log_bayes_factor=chosen.log_bayes_factor,
-        equivalent=tuple(sorted(alternatives | set(effect.equivalent))),
+        equivalent=tuple(sorted(rivals | set(effect.equivalent))),
         magnitude=_magnitude(effect, value, sd),
         gap_closed=_closed(part),
         rms_before=budget.base,
-        rms_after=budget.base if part is None or part.held_out_rms is None else part.held_out_rms,
+        rms_after=budget.residual_with([*before, chosen.name]),
         shift=decision.shift,
         span=tuple(spans),
         detail=_detail(effect_term.shape, effect),
@@ -181,7 +189,7 @@ def _unknown_finding(decision: Decision) -> Finding:
     spans = [span for n, process in processes.items() for span in _log_spans(decision, n, process.spans or ())]
     return Finding(
         name=Verdict.UNKNOWN.value,
-        probability=nameless.probability,
+        probability=decision.probability_of_unknown,
         log_bayes_factor=decision.log_bf_unknown,
         equivalent=(),
         magnitude=Magnitude("rms", rms, float("nan"), "W"),

@@ -62,7 +62,7 @@ class Finding:
     magnitude: Magnitude
     gap_closed: GapClosed | None  # None for candidates, and without a part in the budget
     rms_before: float  # [W], plain model with the given effects
-    rms_after: float  # [W], with the effect too, on held-out stretches; rms_before if not computed
+    rms_after: float  # [W], with this effect and those named before, on held-out stretches; rms_before if not computed
     shift: Shift | None  # from the model of `base` to the one with all chosen effects; None for candidates
     span: tuple[Span, ...] = ()  # when it acts; empty: always
     detail: str = ""  # fitted shape, e.g. "from 31 deg"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from estimator.answers.diagnosis import Verdict
-from estimator.diagnosis.result import Diagnosis, Traces
+from estimator.diagnosis.result import EARLY, LATE, Diagnosis, Traces
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.report import wording
 from estimator.report.page import figures, tables
@@ -67,9 +67,18 @@ def _budget(d: Diagnosis) -> str:
         '<p class="soft">Shares of the mean square of the model&#x27;s residual over means of 2 s, whose root is '
         f"{wording.kilowatts(d.budget.base)}, with 90 % intervals. Left once added: on held-out stretches, "
         "with the signals there are. Left if it were known: as a signal of its own would show it. The gap is "
-        "everything except the noise of the sensors.</p>"
+        f"everything except the noise of the sensors.{_aligned(d)}</p>"
     )
     return figures.budget(d.budget) + tables.budget(d.budget) + meaning
+
+
+def _aligned(d: Diagnosis) -> str:
+    """What a lag took before; empty without one."""
+    lag = next((effect for effect in d.effects if effect.name in (LATE, EARLY)), None)
+    if lag is None:
+        return ""
+    change = f"from {wording.kilowatts(lag.rms_before)} to {wording.kilowatts(lag.rms_after)}"
+    return f" The {wording.label(lag.name)} is taken out before, which reduces the residual {change}."
 
 
 def _how_far(d: Diagnosis) -> str:

@@ -21,6 +21,7 @@ from estimator.report import number_format
 from estimator.report.number_format import NOTHING, exponent, signed
 
 MAX_SPANS = 3  # spans that are listed
+SMALL_GAP = 0.1  # of the squared residual: below, the headline says how small it is
 MIN_GAIN = 3.0  # in log Bayes factor, from which an experiment is worth its while: 20 to 1
 THRESHOLDS = Thresholds()  # by which a diagnosis is made, unless it is given others
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
@@ -49,7 +50,9 @@ def headline(d: Diagnosis) -> str:
         case Verdict.EFFECT:
             closed = gap_closed(d)
             share = "part" if closed is None else percent(closed)
-            return f"{_capital(named)} account{'s' if len(d.effects) == 1 else ''} for {share} of the gap."
+            gap = gap_share(d)
+            small = f", which is {percent(gap)} of the residual" if gap is not None and gap < SMALL_GAP else ""
+            return f"{_capital(named)} account{'s' if len(d.effects) == 1 else ''} for {share} of the gap{small}."
         case Verdict.UNKNOWN:
             beside = f"Beside {named}, an" if named else "An"
             return f"{beside} effect outside the catalogue acts on this drive."
@@ -110,10 +113,11 @@ def formula(d: Diagnosis) -> str:
 
 
 def _doubt(d: Diagnosis) -> str:
-    if d.effects:
+    if d.effects and d.effects[0].equivalent:
         rivals = " or ".join(map(label, (d.effects[0].name, *d.effects[0].equivalent)))
         return f"The drive shows {rivals}, and cannot tell which."
-    return f"There may be {label(d.doubtful)}, too weak on this drive to be sure." if d.doubtful else "Cannot tell."
+    doubtful = d.effects[0].name if d.effects else d.doubtful
+    return f"There may be {label(doubtful)}, too weak on this drive to be sure." if doubtful else "Cannot tell."
 
 
 def _improvement(d: Diagnosis) -> str:
@@ -132,6 +136,8 @@ def _improvement(d: Diagnosis) -> str:
     before, after = steps[0][1], steps[-1][1]
     if after >= before:
         change = f"does not fall on stretches kept from the fit ({kilowatts(before)}, then {kilowatts(after)})"
+    elif kilowatts(before) == kilowatts(after):
+        change = f"falls by {percent(1 - (after / before) ** 2)} in mean square, from {kilowatts(before)}"
     else:
         change = f"falls from {kilowatts(before)} to {kilowatts(after)}"
     return f"With {effects} in the model the residual {change}."
@@ -146,8 +152,7 @@ def advice(d: Diagnosis) -> list[str]:
 def is_worthwhile(d: Diagnosis, e: Experiment) -> bool:
     """Whether an experiment is likely to settle something that is open: to show what the drive alone does not."""
     least = THRESHOLDS.min_expected_log_bf
-    is_open = d.verdict is Verdict.CANNOT_TELL or e.now < least
-    return is_open and e.expected > max(least, e.now + MIN_GAIN)
+    return e.now < least < e.expected and e.expected > e.now + MIN_GAIN
 
 
 def _experiment(e: Experiment) -> str:
@@ -165,6 +170,13 @@ def gap_closed(d: Diagnosis) -> float | None:
     """Share of the gap that all chosen effects close together; None where it is not known or there was no gap."""
     closed = [effect.gap_closed.fraction for effect in d.effects if effect.gap_closed is not None]
     return min(sum(closed), 1.0) if closed else None
+
+
+def gap_share(d: Diagnosis) -> float | None:
+    """Share of the squared residual that is beyond noise; None where it is not known."""
+    if d.rms_base is None or d.noise_floor is None or not d.rms_base > 0:
+        return None
+    return max(1 - (d.noise_floor / d.rms_base) ** 2, 0.0)
 
 
 def is_hidden(effect: Finding) -> bool:
@@ -217,8 +229,11 @@ def interval(closed: GapClosed | None) -> str:
 
 
 def kilowatts(watts: float | None) -> str:
-    """``14.2 kW``."""
-    return NOTHING if watts is None or not math.isfinite(watts) else signed(f"{watts / 1e3:.1f} kW")
+    """``14.2 kW``; two digits below 1 kW: ``0.22 kW``, ``0.096 kW``."""
+    if watts is None or not math.isfinite(watts):
+        return NOTHING
+    decimals = 1 if abs(watts) >= 1e3 else 2 if abs(watts) >= 1e2 else 3
+    return signed(f"{watts / 1e3:.{decimals}f} kW")
 
 
 def size(magnitude: Magnitude) -> str:

@@ -50,17 +50,23 @@ def parameters(d: Diagnosis) -> str:
     rows = []
     for attribute, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True):
         before = getattr(d.base, attribute)
-        row = [f"{name} [{unit}]", wording.parameter(before, step)]
+        row = [f"{name} [{unit}]", _with_sd(before, getattr(d.base_deviation, attribute, math.nan), step)]
         if d.final is not None and d.effects:
             after = getattr(d.final, attribute)
             relative = (after - before) / before if before > 0 else math.nan  # no share of what cannot be negative
             share = f" ({number_format.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
-            row += [wording.parameter(after, step), wording.parameter(after - before, step, "+") + share]
+            sd = getattr(d.deviation, attribute, math.nan)
+            row += [_with_sd(after, sd, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
     base = html.escape(wording.base_name(d))
     headings = ("parameter", base, "with the effects", "shift")
     title = "What it does to the parameters" if d.effects else f"Parameters of the {base}"
     return f"<h3>{title}</h3>" + table(headings[: len(rows[0])], rows, "parameters")
+
+
+def _with_sd(value: float, sd: float, step: float) -> str:
+    spread = f" ± {wording.parameter(sd, step)}" if math.isfinite(sd) else ""
+    return wording.parameter(value, step) + spread
 
 
 def budget(whole: Budget) -> str:
