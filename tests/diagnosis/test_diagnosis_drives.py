@@ -401,6 +401,16 @@ def test_one_effect_does_not_hide_another(diagnose, seed, large, small):
 
 
 @pytest.mark.nightly
+def test_each_of_several_effects_is_added_to_those_before(diagnose):
+    acting = [("headwind", 6.0), ("torque_bias", 80.0), ("cornering", 900.0)]
+    answer = diagnose(drive("mixed", 30, 51, *(Effect(name=name, magnitude=size) for name, size in acting)))
+    assert {name for name, _ in acting} == set(named(answer))
+    steps = [answer["rms_base_kW"], *(effect["rms_after_kW"] for effect in answer["effects"])]
+    assert steps == sorted(steps, reverse=True)
+    assert steps[-1] == pytest.approx(answer["rms_final_kW"], rel=0.01)
+
+
+@pytest.mark.nightly
 def test_a_filter_of_the_speed_is_all_there_is(diagnose):
     """What a low-pass leaves of its lag is neither a swing nor inertia of the engine, and the mass allows for it."""
     answer = diagnose(drive("highway", 22, 3, Effect(name="speed_filter", magnitude=0.5)))

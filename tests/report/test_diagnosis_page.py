@@ -214,6 +214,14 @@ def test_evidence_that_is_not_reported_has_its_reason() -> None:
             "There may be fan, too weak on this drive to be sure.",
         ),
         (
+            changed(verdict=Verdict.CANNOT_TELL, effects=(finding("drafting", 0.6),)),
+            "There may be drafting, too weak on this drive to be sure.",
+        ),
+        (
+            changed(verdict=Verdict.CANNOT_TELL, effects=(finding("drafting", 0.6, equivalent=("unknown effect",)),)),
+            "The drive shows drafting or unknown effect, and cannot tell which.",
+        ),
+        (
             changed(effects=(HILLS,)),
             "A force varies with place like a grade of 1.4 % sd, and no signal on the bus shows it: with one, the "
             "residual could fall from 13.4 kW to 3.3 kW; roadload estimate counts with such a road by itself.",
@@ -408,6 +416,31 @@ def test_terminal_prints_names_as_they_are(text: str) -> None:
 )  # fmt: skip
 def test_percent(fraction: float, words: str) -> None:
     assert wording.percent(fraction) == words
+
+
+@pytest.mark.parametrize(
+    ("closed", "words"),
+    [((0.712, 0.66, 0.755), "71 % (66 to 76 %)"), ((0.001, 0.0, 0.002), "0.1 % (0.0 to 0.2 %)"),
+     ((0.99999, 0.9999, 1.0), "> 99.9 %"), ((0.0, 0.0, 0.0), "0 %"), ((np.nan, 0.0, 0.0), number_format.NOTHING)],
+)  # fmt: skip
+def test_the_ends_of_an_interval_differ(closed: tuple[float, float, float], words: str) -> None:
+    assert wording.interval(GapClosed(*closed)) == words
+
+
+@pytest.mark.parametrize(
+    ("watts", "words"),
+    [(14_230.0, "14.2 kW"), (999.9, "1.00 kW"), (215.0, "0.21 kW"), (96.0, "0.096 kW"), (0.0, "0.000 kW")],
+)
+def test_a_power_has_two_digits(watts: float, words: str) -> None:
+    assert wording.kilowatts(watts) == words
+
+
+def test_a_gap_that_is_a_small_part_of_the_residual_is_said_to_be() -> None:
+    small = changed(effects=(finding("drafting", 0.95, gap_closed=GapClosed(0.97, 0.5, 1.0)),), noise_floor=13_200.0)
+    assert wording.headline(small) == "Drafting accounts for 97 % of the gap, which is 3 % of the residual."
+    assert "residual" not in wording.headline(rich())
+    hardly = dataclasses.replace(small, rms_final=13_370.0)
+    assert wording.reason(hardly).endswith("in the model the residual falls by 0.4 % in mean square, from 13.4 kW.")
 
 
 @pytest.mark.parametrize(
