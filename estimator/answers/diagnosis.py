@@ -47,6 +47,7 @@ class Finding(Struct, frozen=True, kw_only=True):
 
     ``probability`` that it acts; of one that is named, that it or one that is ``equivalent`` to it does. ``span_s``
     holds times from and to, since the first row of the log that ``span_log`` counts; without spans it acts always.
+    ``rms_after_kW``: residual with this effect and those that are named before it.
     """
 
     name: str
@@ -181,8 +182,9 @@ class Experiment(Struct, frozen=True, kw_only=True):
 
 
 class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
-    """Verdict and evidence; ``effects`` are those that are named, ``candidates`` all of them, each alone.
+    """Verdict and evidence; ``effects`` are those that are named, ``candidates`` all of them.
 
+    ``candidates`` have their evidence and size alone, and their probability among all hypotheses.
     ``given``: effects that the configuration has in the model.
     ``p_value``: share of records of noise alone in which an effect has as much evidence; null unless asked for.
     ``doubts``: why the logs may not be of one vehicle.

@@ -211,6 +211,7 @@ def percent(fraction: float) -> str:
     """``0.914`` as ``91 %``; what would round to 0 or 100 % has more digits, or is a bound."""
     if not math.isfinite(100 * fraction):
         return NOTHING
+    fraction = round(fraction, 9)  # a sum of shares is 1 up to rounding
     for digits in (0, 1):
         if not 0 < fraction < 1 or 0 < float(f"{100 * fraction:.{digits}f}") < 100:
             return signed(f"{100 * fraction:.{digits}f} %")
