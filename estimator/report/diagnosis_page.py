@@ -73,7 +73,7 @@ def _budget(d: Diagnosis) -> str:
 
 
 def _aligned(d: Diagnosis) -> str:
-    """What a lag took before; empty without one."""
+    """Sentence on what a lag took before; empty without one."""
     lag = next((effect for effect in d.effects if effect.name in (LATE, EARLY)), None)
     if lag is None:
         return ""
@@ -177,7 +177,8 @@ def terms(limits: Thresholds) -> dict[str, str]:
         ),
         "log Bayes factor": (
             "natural logarithm of how much more probable the log is with the effect than without; an effect is named "
-            "by its probability, which also counts what else may act"
+            "by its probability, which also counts what else may act; of one that is named it is beside all others, of "
+            "another one alone"
         ),
         "q value": "share of false places to be expected among those listed down to this one",
         "isolability": (

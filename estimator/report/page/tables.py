@@ -33,12 +33,12 @@ def chosen(d: Diagnosis) -> str:
     """Effects that are named: size, action, share of the gap closed with its interval."""
     blocks = []
     for f in d.effects:
-        share = _interval_bar(f.gap_closed)
+        share, action = _interval_bar(f.gap_closed), wording.action(f, len(d.logs) > 1)
+        how = "" if action == number_format.NOTHING else f"<p class='soft'>{html.escape(action)}</p>"
         blocks.append(
             f"<li><h3>{html.escape(wording.with_equivalents(f))}</h3><p>{html.escape(wording.size(f.magnitude))}, "
             f"<span class='whole'>probability {html.escape(wording.percent(f.probability))}</span></p>"
-            f"<p class='soft'>{html.escape(wording.action(f, len(d.logs) > 1))}</p>"
-            f"<p>gap closed {html.escape(wording.interval(f.gap_closed))}</p>{share}</li>"
+            f"{how}<p>gap closed {html.escape(wording.interval(f.gap_closed))}</p>{share}</li>"
         )
     return f'<ul class="chosen">{"".join(blocks)}</ul>' if blocks else ""
 
