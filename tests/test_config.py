@@ -157,7 +157,7 @@ def test_malformed(tmp_path: Path, text: str | bytes) -> None:
 
 
 def test_no_such_file_and_a_folder(tmp_path: Path) -> None:
-    assert refusal(tmp_path / "none.toml") == "No such file or directory"
+    assert refusal(tmp_path / "none.toml") == "No such file or directory; roadload init writes one"
     assert refusal(tmp_path) == "Is a directory"
 
 
