@@ -73,7 +73,7 @@ class Decision:
     def probability_of_unknown(self) -> float:
         """Probability that a nameless process acts, or a force that varies with place.
 
-        Of slopes that are not those of a road, `min_log_bf_slopes` are the prior odds.
+        The prior log odds of a sloping road, whose slopes that force takes, are minus `min_log_bf_slopes`.
         """
         odds_of_force = self.log_bf_force_by_place - self.thresholds.min_log_bf_slopes
         no_force = float(expit(-odds_of_force)) if self.log_bf_force_by_place else 1.0

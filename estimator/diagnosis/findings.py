@@ -211,7 +211,8 @@ def _with_size(decision: Decision, name: str) -> str:
     number, process = switching[0]
     drive = decision.result.drives[number]
     size = drive.joint_with((process,)).posterior(range(len(drive.chosen) + 1)).mean[-1]
-    return f"{name} ({f'{size / 1e3:.1f} kW' if SWITCHES[name] == 'W' else f'{size:,.0f} N'})"
+    shown = f"{size / 1e3:.1f} kW" if SWITCHES[name] == "W" else f"{size:,.0f} {SWITCHES[name]}"
+    return f"{name} ({shown})"
 
 
 def _log_spans(decision: Decision, number: int, spans: Spans) -> tuple[Span, ...]:

@@ -17,7 +17,6 @@ from estimator.diagnosis.result import ResidualFormula
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.signals import Floats, Quantity
 
-MIN_LOG_BF = 5.0  # of a formula, less the cost of all formulas that were tried
 MIN_SHARE = 0.05  # of the squared residual that a formula removes on held-out stretches
 SMOOTHED = 5  # strides (5 s) over which the acceleration is averaged
 
@@ -25,7 +24,8 @@ SMOOTHED = 5  # strides (5 s) over which the acceleration is averaged
 def best_residual_formula(drive: DriveState) -> ResidualFormula | None:
     """The formula with most evidence.
 
-    None if its log Bayes factor is below MIN_LOG_BF, or if it hardly reduces the residual on held-out stretches.
+    None if its log Bayes factor, less the cost of all formulas that were tried, is not above 0, or if it hardly reduces
+    the residual on held-out stretches.
     """
     joint = drive.joint
     chosen = range(len(drive.chosen))
@@ -36,7 +36,7 @@ def best_residual_formula(drive: DriveState) -> ResidualFormula | None:
         return judged(*joint.projected(chosen, joint.frame.as_acceleration(columns)))
 
     formula = best_formula(dict(_variables(drive)), "W", rms, judge)
-    if formula is None or formula.gain < MIN_LOG_BF:
+    if formula is None or formula.gain <= 0:
         return None
     share = _held_out_share(drive, formula.column)
     if share < MIN_SHARE:
