@@ -282,7 +282,7 @@ def _road_and_noise(
     if not drive.is_level:
         slopes += joint.acceleration(joint.stretches, amplitudes[joint.stretches])
         yield ROAD, slopes
-    del slopes
+    del slopes  # on a long drive each of these arrays takes as much memory as all columns
     scales = drive.fit.scales.values
     remaining, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + remaining))[:, None]

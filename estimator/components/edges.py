@@ -22,8 +22,7 @@ from estimator.strides import DURATION
 
 STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, by which an edge is moved
 MOVES = np.concatenate([-STEPS, STEPS])
-MAX_SWEEPS = 60  # over all edges: bounds the run time
-MIN_SWEEP_GAIN = 1e-3  # of log evidence, for another sweep
+MIN_SWEEP_GAIN = 1e-3  # of log evidence, for another sweep over all edges
 TOGETHER = 100  # moves whose products are computed at once: bounds the memory with many edges
 
 
@@ -88,8 +87,8 @@ def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> lis
     Coordinate ascent: one edge after the other takes its best move given those of the others, until the gain is small.
     """
     taken, paid = [-1] * len(leaving), 0.0
-    best = float(column.evidence())
-    for _ in range(MAX_SWEEPS):
+    best, previous = float(column.evidence()), -np.inf
+    while best > previous + MIN_SWEEP_GAIN:
         previous = best
         for k, cost in enumerate(leaving):
             columns = 1 + k * number + np.arange(number)
@@ -103,8 +102,6 @@ def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> lis
             if taken[k] >= 0:
                 column.change(columns[taken[k]], 1.0)
                 paid += cost
-        if best <= previous + MIN_SWEEP_GAIN:
-            break
     return taken
 
 
