@@ -9,9 +9,16 @@ import pytest
 
 from estimator.blas_threads import one_blas_thread
 
+OF_A_TERMINAL = ["TTY_COMPATIBLE", "TTY_INTERACTIVE", "FORCE_COLOR", "NO_COLOR", "COLUMNS", "LINES"]
+
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Property tests with the same examples in every run, and without limits of time, which a busy machine exceeds."""
+    """Property tests with the same examples in every run, and without limits of time, which a busy machine exceeds.
+
+    What a program prints does not depend on what the shell of the tests says of its terminal.
+    """
+    for name in OF_A_TERMINAL:
+        os.environ.pop(name, None)
     if config.pluginmanager.hasplugin("hypothesispytest"):  # it is not installed in the machine of tests/socketcan
         from hypothesis import HealthCheck, settings
 

@@ -53,7 +53,7 @@ def display(console: Console, first: WatchAnswer, port: int | None) -> Iterator[
         newest = view
 
     with _page(port, lambda: newest) as address:
-        if not console.is_terminal or console.is_dumb_terminal:
+        if not console.is_interactive:
             lines = Lines(console)
             if address:
                 say(console, f"page: {address}")
@@ -72,6 +72,7 @@ def display(console: Console, first: WatchAnswer, port: int | None) -> Iterator[
             refresh_per_second=REFRESHES,
         )
         with screen:
+            screen.refresh()  # its own first view comes after a quarter of a second, when a short log has ended
             yield keep
 
 

@@ -19,6 +19,7 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands import watch
+from estimator.commands.displays import display
 from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service import assembly, status_file
 from estimator.daemon.service.assembly import Plan
@@ -29,6 +30,7 @@ from estimator.simulation.truck import Truck
 from estimator.streaming import replay
 from estimator.streaming.log_frames import LogFrames
 from estimator.streaming.replay import MAX_HELD, SLICE, paced_frames
+from estimator.watch.view import without_news
 
 Outcome = tuple[int, str, str]
 MINUTES = 6.0
@@ -100,11 +102,33 @@ def test_a_pipe_gets_a_line_an_update_and_the_table_of_estimate(cli: Callable[..
     assert out.endswith(estimated)
 
 
+def terminal_of(environment: dict[str, str]) -> Console:
+    """A terminal of 80 columns that keeps what is written, by the variables of an environment."""
+    return Console(
+        file=io.StringIO(), width=80, height=24, force_terminal=True, color_system=None, _environ=environment
+    )
+
+
+@pytest.mark.parametrize("environment", [{"TERM": "dumb"}, {"TERM": "xterm", "TTY_INTERACTIVE": "0"}])
+def test_a_terminal_without_a_cursor_gets_lines(environment: dict[str, str]) -> None:
+    terminal = terminal_of(environment)
+    with display(terminal, without_news("drive.blf", "opening", ""), None) as show:
+        show(without_news("drive.blf", "finished", ""))
+    assert terminal.file.getvalue() == "opening\nfinished\n"  # type: ignore[attr-defined]
+
+
+def test_a_screen_shows_a_log_that_ends_at_once() -> None:
+    terminal = terminal_of({"TERM": "xterm"})
+    with display(terminal, without_news("drive.blf", "opening", ""), None):
+        pass
+    assert "drive.blf" in terminal.file.getvalue()  # type: ignore[attr-defined]
+
+
 @pytest.mark.slow
 def test_a_terminal_is_left_as_it_was_with_the_table(
     cli: Callable[..., Outcome], log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    terminal = Console(file=io.StringIO(), width=80, height=24, force_terminal=True, color_system=None)
+    terminal = terminal_of({"TERM": "xterm"})
     monkeypatch.setattr(watch, "standard_output", lambda: terminal)
     status, _, _ = cli("watch", log, "--speed", "max")
     assert status == 0
