@@ -90,7 +90,7 @@ class NormalEquations:
         by_force = likelihood.by_force(shapes)
         q = data.shape[1] - 1
         found = cls(
-            gram=conditioned.gram(data) if shapes.size else plain,
+            gram=plain,
             noise=likelihood.noise_information(conditioned, beta, by_force),
             driver_bias=float(likelihood.unit[0]) * conditioned.leverage @ by_force,
             moved=np.zeros((q, 0)),
@@ -103,15 +103,15 @@ class NormalEquations:
             found = replace(found, noise=COARSE_SHARE * found.noise)
         residual = data[:, 0] - data[:, 1 : 1 + len(beta)] @ found.solve()[0]
         changed = changed_by_scales(conditioned, scales, residual)[:, free]
-        weighed = conditioned.weighed(changed)
-        moments = data[:, 1:].T @ weighed
-        of_scales = average_information(changed, weighed, moments[: len(beta)], information)
+        products = conditioned.gram(np.column_stack([data, changed]))
+        moments = products[1 : 1 + q, 1 + q :]
+        of_scales = average_information(products[1 + q :, 1 + q :], moments[: len(beta)], information)
         spread = np.array([likelihood.model.scales[i].spread for i in free])
         root, noise_moved = _scale_doubt(of_scales + np.diag(spread**-2.0), scales, free, power_chance)
         moved = -moments @ root
         if Quantity.SPEED_STEP in likelihood.model.strides.context:
             moved, noise_moved = np.column_stack([moved, np.zeros(q)]), np.append(noise_moved, COARSE_SD)
-        return replace(found, moved=moved, noise_moved=noise_moved)
+        return replace(found, gram=products[: 1 + q, : 1 + q], moved=moved, noise_moved=noise_moved)
 
     def solve(
         self, change: int | None = None, precision: Sequence[float] | Floats = ()

@@ -66,13 +66,13 @@ def changed_by_scales(conditioned: Conditioned, scales: Floats, residual: Floats
     return _changed(conditioned, scales, unknowns, residual - conditioned.model.observed(unknowns))
 
 
-def average_information(changed: Floats, weighed: Floats, moments: Floats, precision: Floats) -> Floats:
+def average_information(products: Floats, moments: Floats, precision: Floats) -> Floats:
     """Average information (k, k) on the logarithms of k scales, with the coefficients integrated out.
 
-    From ``changed`` (sum of counts, k) by each of the scales, K^-1 times it, and X' K^-1 times it: ``moments`` (p, k),
+    From the ``products`` D' K^-1 D (k, k) of the changes D by each of the scales, and X' K^-1 D: ``moments`` (p, k),
     for the columns X of p coefficients, whose information is ``precision`` (p, p).
     """
-    information: Floats = 0.5 * (changed.T @ weighed - moments.T @ np.linalg.solve(precision, moments))
+    information: Floats = 0.5 * (products - moments.T @ np.linalg.solve(precision, moments))
     return information
 
 
