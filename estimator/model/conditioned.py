@@ -112,11 +112,9 @@ class Conditioned:
         return solved
 
     def weighed(self, residual: Floats) -> Floats:
-        """K^-1 times a residual (sum of counts,), or several (sum of counts, d)."""
-        columns = residual.reshape(len(residual), -1)
-        unknowns = self.factor.solve(self.model.gathered(columns / self.variance[:, None]))
-        rest: Floats = (columns - self.model.observed(unknowns)) / self.variance[:, None]
-        return rest.reshape(residual.shape)
+        """K^-1 times a residual (sum of counts,)."""
+        rest: Floats = (residual - self.model.observed(self.unknowns(residual))) / self.variance
+        return rest
 
     def draws(self, residuals: Floats, rng: np.random.Generator) -> Floats:
         """Draw all unknowns (size, d) from their posterior, once for each column of residuals (sum of counts, d)."""
