@@ -139,12 +139,24 @@ class DriveState:
         fitted = fit_given(self.strides, scales, self.fit.terms, rests=self.rests)
         return self if fitted is None else replace(self, fit=fitted)
 
-    def is_possible(self, given: int) -> bool:
-        """True if every effect after the first ``given`` ones is within its limits for the fitted road load."""
+    def beyond_limits(self, given: int) -> set[str]:
+        """Names of effects after the first ``given`` ones that are beyond their limits for the fitted road load."""
         chosen = zip(self.chosen[given:], self.magnitudes[given:].tolist(), strict=True)
         effects = [(term.effect_term.effect, size) for term, size in chosen if term.effect_term is not None]
         load = Frame.of(self.fit).road_load
-        return all(abs(size) <= effect.limit(load) and size <= effect.max_positive_size for effect, size in effects)
+        return {
+            effect.name for effect, size in effects if abs(size) > effect.limit(load) or size > effect.max_positive_size
+        }
+
+    def nearest_to_mass(self, given: int) -> set[str]:
+        """Name of the effect after the first ``given`` ones whose magnitude is most correlated with 1/m; or none."""
+        covariance = self.fit.covariance
+        first = len(covariance) - len(self.fit.terms) + given
+        shared = {
+            term.name: abs(covariance[0, first + i]) / np.sqrt(covariance[first + i, first + i])
+            for i, term in enumerate(self.chosen[given:])
+        }
+        return {max(shared, key=lambda name: float(shared[name]))} if shared else set()
 
     @cached_property
     def _conditioned(self) -> Conditioned:

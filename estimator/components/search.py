@@ -85,6 +85,7 @@ class Search:
         self._drives, self._effects, self._earlier_terms = drives, effects, earlier_terms or EarlierTerms()
         self._given = [drive.chosen for drive in drives]
         self._candidates = CandidateTerms(effects, self._given, self._earlier_terms)
+        self._left_out = set[str]()  # names of effects that were impossible in every round
 
     @cached_property
     def _first_round(self) -> _Round:
@@ -161,7 +162,11 @@ class Search:
         """Make a table at the present scales, of hypotheses of up to ``size`` terms, or one more than act already."""
         drives = tuple(state.bare() for state in states)  # what this round computes is not in memory in the next
         candidates = [
-            self._candidates.on_drive(number, drive, with_processes, with_stretches)
+            (
+                candidate
+                for candidate in self._candidates.on_drive(number, drive, with_processes, with_stretches)
+                if candidate.term.name not in self._left_out
+            )
             for number, drive in enumerate(drives)
         ]
         space = HypothesisSpace(drives, self._given, candidates)
@@ -184,7 +189,8 @@ class Search:
         _OutOfReachError
             The search is not expected to reach ``min_log_posterior``; see `_Round.expected_log_posterior`.
         """
-        best = self._best_round(states, with_processes, with_stretches, min_log_posterior)
+        while (best := self._best_round(states, with_processes, with_stretches, min_log_posterior)) is None:
+            pass  # the effects that were impossible are left out
         for number, state in enumerate(best.states):
             self._earlier_terms.add_drive(number, state)
         chosen = best.space.without_small_gains(best.chosen)
@@ -192,32 +198,43 @@ class Search:
 
     def _best_round(
         self, states: tuple[DriveState, ...], with_processes: bool, with_stretches: bool, min_log_posterior: float
-    ) -> _Round:
+    ) -> _Round | None:
         """Renew table and scales in turn, as long as the log posterior rises.
 
-        A hypothesis that is best at the scales of another one may have less evidence at its own scales, or a magnitude
-        that is impossible for the refitted vehicle. A round with an impossible magnitude is not kept, but the next one
-        starts from its scales.
+        A hypothesis that is best at the scales of another one may have less evidence at its own scales, or be
+        impossible for the refitted vehicle. A round with an impossible hypothesis is not kept, but the next one starts
+        from its scales. If all are impossible, the result is None, and the impossible effects are left out from now on.
         """
-        best, last, highest = None, None, log_evidence(states)
+        best: _Round | None = None
+        highest, impossible = log_evidence(states), set[str]()
         value = highest
         for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
-            is_first = states is self._drives and not (with_processes or with_stretches)
+            is_first = states is self._drives and not (with_processes or with_stretches or self._left_out)
             latest = self._first_round if is_first else self._round(states, size, with_processes, with_stretches)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
             previous, value = value, latest.log_posterior
             if best is not None and value < highest - ROUNDING:
                 break
-            last, states = latest, latest.states
+            states = latest.states
             for number, effect_term, magnitude in latest.space.rivals(latest.table):
                 self._earlier_terms.add_effect_term(number, effect_term, magnitude)
-            if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
+            impossible = self._impossible(states)
+            if not impossible:
                 gain, best, highest = value - highest, latest, value
             else:  # a hypothesis that is impossible and stays so gains nothing
                 gain = abs(value - previous)
             if len(latest.chosen) < latest.max_terms and gain < MIN_ROUND_GAIN:
                 break
-        best = best or last
-        assert best is not None
+        if best is None:
+            self._left_out |= impossible
         return best
+
+    def _impossible(self, states: tuple[DriveState, ...]) -> set[str]:
+        """Names of effects beyond their limits, and of those that leave the mass of a drive undetermined."""
+        names = set[str]()
+        for state, given, drive in zip(states, self._given, self._drives, strict=True):
+            names |= state.beyond_limits(len(given))
+            if drive.fit.determines_mass and not state.fit.determines_mass:
+                names |= state.nearest_to_mass(len(given))
+        return names

@@ -34,9 +34,8 @@ def named_findings(decision: Decision) -> tuple[Finding, ...]:
     """The road, the effects that are named, and the lag; each residual is with the causes before it too."""
     road = [_road_finding(decision)] if decision.is_road_named else []
     lag = [] if decision.lag is None else [decision.lag]
-    shown = [ROAD for finding in road if finding.magnitude.name == SHOWN_SLOPE]
     effects = [
-        _effect_finding(decision, effect, [*shown, *(other.name for other in decision.named[:i])])
+        _effect_finding(decision, effect, [*(ROAD for _ in road), *(other.name for other in decision.named[:i])])
         for i, effect in enumerate(decision.named)
     ]
     return (*road, *effects, *lag)

@@ -26,6 +26,7 @@ from estimator.units import STANDARD_GRAVITY
 
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
+MAX_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +58,17 @@ class RoadFit:
         if not (np.isfinite(self.beta).all() and np.isfinite(self.covariance).all()):
             raise FloatingPointError("the coefficients of the fit are not finite")
         return self
+
+    @property
+    def mass_sd(self) -> float:
+        """Relative sd of 1/m, hence of the mass; infinite where 1/m is not positive."""
+        sd = float(np.sqrt(max(self.covariance[0, 0], 0.0)))
+        return sd / float(self.beta[0]) if self.beta[0] > 0 else np.inf
+
+    @property
+    def determines_mass(self) -> bool:
+        """True if the drive alone determines the mass."""
+        return self.mass_sd <= MAX_RELATIVE_SD
 
     @property
     def theta(self) -> Floats:

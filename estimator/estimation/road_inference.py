@@ -56,7 +56,6 @@ MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.09)
 USUAL_LAG = 0.5  # s, between power and speed, may be more only where `kinematics.maximum_lag_s` is above its default
 LONGEST_LAG = float(LAGS.max()) + LAG_SD  # s, that the model can describe
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
-MAX_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
 NOTHING_COVERED = Coverage(0, 0)
 
 
@@ -258,11 +257,10 @@ class RoadInference:
 
     def _undetermined(self, found: RoadFit) -> str:
         """Reason why the drive does not determine the mass; empty where it does."""
-        inverse, sd = float(found.beta[0]), float(np.sqrt(max(found.covariance[0, 0], 0.0)))
-        if not inverse > MIN_INVERSE_MASS:
+        if not found.beta[0] > MIN_INVERSE_MASS:
             return "speed does not change with force: the drive is too uniform, or a signal is wrong"
-        if sd > MAX_RELATIVE_SD * inverse and self._config.prior.mass_belief_kg is None:
-            return f"sd of mass is {100 * sd / inverse:.0f} % of its value" + _advice("m", found)
+        if not found.determines_mass and self._config.prior.mass_belief_kg is None:
+            return f"sd of mass is {100 * found.mass_sd:.0f} % of its value" + _advice("m", found)
         return ""
 
     def _reasons(self, judged: Judged, found: RoadFit, lower: Floats, upper: Floats) -> dict[str, str]:

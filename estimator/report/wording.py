@@ -180,7 +180,7 @@ def gap_share(d: Diagnosis) -> float | None:
 
 
 def is_hidden(effect: Finding) -> bool:
-    """Whether it is a grade that no signal shows: it is in the model as a state, and takes nothing off the residual."""
+    """Whether it is a grade that no signal shows: it is in the model as a state."""
     return effect.magnitude.name == HIDDEN_GRADE
 
 
@@ -190,21 +190,29 @@ def base_name(d: Diagnosis) -> str:
 
 
 def ladder(d: Diagnosis) -> list[tuple[str, float]]:
-    """The residual [W] of the model as configured, and after each effect that can be added to it.
+    """The residual [W] of the model as configured, and after each effect that is added to it.
 
-    A lag comes first: the others are judged on aligned power.
+    A lag comes first: the others are judged on aligned power. Slopes that no signal shows are those that the force on
+    the strides around shows.
     """
     if d.rms_base is None:
         return []
     late = next((effect for effect in d.effects if effect.name in (LATE, EARLY)), None)
-    others = [effect for effect in d.effects if effect is not late and not is_hidden(effect)]
-    after = [effect.rms_after for effect in others]
+    others = [effect for effect in d.effects if effect is not late]
+    after = [_by_force(d, effect.rms_after) if is_hidden(effect) else effect.rms_after for effect in others]
     if after and d.rms_final is not None:
         after[-1] = d.rms_final
-    steps = [(f"+ {label(f.name)}", rms) for f, rms in zip(others, after, strict=True)]
+    names = [f"+ {label(f.name)}{' by the force alone' if is_hidden(f) else ''}" for f in others]
+    steps = list(zip(names, after, strict=True))
     if late is None:
         return [(base_name(d), d.rms_base), *steps]
     return [(base_name(d), d.rms_base), (f"+ {label(late.name)}", late.rms_after), *steps]
+
+
+def _by_force(d: Diagnosis, known: float) -> float:
+    """Residual [W] with a road that the force alone shows; that of a ``known`` road where it was not computed."""
+    road = None if d.budget is None else d.budget.part(ROAD)
+    return known if road is None or road.held_out_rms is None else road.held_out_rms
 
 
 def percent(fraction: float) -> str:

@@ -1,6 +1,7 @@
 """The rules of the search: when its rounds end, which times are candidates, and which road explains the drives."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +20,7 @@ from estimator.components.switching import Switching
 from estimator.components.term import Frame, term_of
 from estimator.diagnosis import road_comparison
 from estimator.diagnosis.thresholds import Thresholds
+from estimator.estimation.road_fit import MAX_RELATIVE_SD
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import BY_NAME
@@ -34,13 +36,14 @@ IMPOSSIBLE = 9  # a term whose magnitude is beyond its limit once the scales are
 
 
 def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> Any:
-    is_possible = IMPOSSIBLE not in chosen
+    beyond = {"impossible"} if IMPOSSIBLE in chosen else set[str]()
     drive = SimpleNamespace(
         log_evidence=log_evidence,
         chosen=(),
         magnitudes=np.empty(0),
         stretches=None,
-        is_possible=lambda given: is_possible,
+        beyond_limits=lambda given: beyond,
+        fit=SimpleNamespace(determines_mass=True),
         **{"has_unusual_noise": False, "is_road_hidden": False} | further,
     )
     drive.bare = lambda: drive
@@ -111,6 +114,11 @@ def test_a_set_that_is_possible_is_kept_where_only_impossible_ones_have_more_evi
 def test_rounds_end_where_an_impossible_set_comes_again_with_the_same_evidence(monkeypatch):
     script = [((1,), 10.0), ((1, IMPOSSIBLE), 30.0), ((1, IMPOSSIBLE), 30.2)]
     assert rounds(monkeypatch, script) == 10.0
+
+
+def test_where_all_sets_are_impossible_the_search_starts_again_without_their_effects(monkeypatch):
+    script = [((IMPOSSIBLE,), 30.0), ((IMPOSSIBLE,), 30.2), ((1,), 10.0), ((1,), 10.2)]
+    assert rounds(monkeypatch, script) == 10.2
 
 
 @pytest.mark.parametrize(("from_usual_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
@@ -301,9 +309,26 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
     plain = DriveState.of(made_strides(speed, force, {}), is_level=True)
     assert plain is not None
     state = plain.with_terms((term_of(Frame.of(plain.fit), EffectTerm(BY_NAME["auxiliary_cycling"], None, spans)),))
-    assert not state.is_possible(0)
-    assert state.is_possible(1)
-    assert plain.is_possible(0)
+    assert state.beyond_limits(0) == {"auxiliary_cycling"}
+    assert not state.beyond_limits(1)
+    assert not plain.beyond_limits(0)
+    (found,) = Search((plain,), [BY_NAME["auxiliary_cycling"]]).effects_only
+    assert not found.chosen
+
+
+def test_an_effect_that_leaves_the_mass_undetermined_is_impossible():
+    plain = driven()
+    mass_step = term_of(Frame.of(plain.fit), EffectTerm(BY_NAME["mass_step"], None, ((0.0, 200.0),)))
+    load = term_of(Frame.of(plain.fit), EffectTerm(BY_NAME["auxiliary_load"], None))
+    state = plain.with_terms((load, mass_step))
+    search = Search((plain,), [])
+    assert not search._impossible((state,))
+    shared = np.zeros(len(state.fit.beta))
+    shared[[0, -1]] = MAX_RELATIVE_SD * state.fit.beta[0]  # of 1/m and the step together
+    blurred = replace(state, fit=replace(state.fit, covariance=state.fit.covariance + np.outer(shared, shared)))
+    assert search._impossible((blurred,)) == {"mass_step"}
+    assert Search((replace(plain, fit=blurred.fit),), [])._impossible((blurred,)) == set()  # nor is it without
+    assert not blurred.nearest_to_mass(2)
 
 
 # The road

@@ -20,6 +20,7 @@ from estimator.answers import diagnosis as answer
 from estimator.answers.answer import decode, encode
 from estimator.answers.diagnosis import Verdict
 from estimator.commands.diagnosis_tables import print_diagnosis
+from estimator.components.budget import ROAD, Budget, Part
 from estimator.diagnosis.result import (
     HIDDEN_GRADE,
     Advice,
@@ -36,6 +37,7 @@ from estimator.errors import ConfigError, RoadloadError
 from estimator.report import number_format, wording
 from estimator.report.diagnosis_page import page, terms, write_page
 from estimator.report.diagnosis_summary import of_diagnosis
+from estimator.report.page import figures
 
 DIAGNOSES = {"rich": rich, "several": several, "unknown": unknown, "empty": empty}
 FINDING_KEYS = {
@@ -250,6 +252,29 @@ def test_the_steps_of_the_residual_begin_with_the_power_as_it_came() -> None:
     assert wording.reason(worse).endswith("does not fall on stretches kept from the fit (4.7 kW, then 4.8 kW).")
     alone = dataclasses.replace(d, effects=(fan,), rms_base=3_900.0)
     assert wording.ladder(alone) == [("plain model", 3_900.0), steps[2]]
+
+
+def test_a_road_that_no_signal_shows_is_a_step_by_the_force_alone() -> None:
+    fan = finding("auxiliary_cycling", 1.0, rms_before=13.4e3, rms_after=2_500.0)
+    road = Part(
+        cause=ROAD,
+        is_given=False,
+        share=1.0,
+        q05=0.97,
+        q95=1.01,
+        rms=7_400.0,
+        held_out_rms=2_900.0,
+        expected=1_700.0,
+        closed=(1.0, 1.0, 1.0),
+    )
+    budget = Budget(base=13.4e3, held_out_rms=2_500.0, parts=(road,))
+    d = changed(effects=(HILLS, fan), rms_base=13.4e3, rms_final=2_500.0, budget=budget)
+    steps = [("plain model", 13.4e3), ("+ grade by the force alone", 2_900.0), ("+ auxiliary cycling", 2_500.0)]
+    assert wording.ladder(d) == steps
+    assert wording.ladder(dataclasses.replace(d, budget=None))[1][1] == HILLS.rms_after
+    bars = figures.bars(d)
+    assert "if the road were known</span>" in bars
+    assert bars.count("<li>") == 5  # and the noise floor
 
 
 def test_bytes_that_are_no_text_are_written(tmp_path: Path) -> None:
