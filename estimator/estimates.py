@@ -1,5 +1,6 @@
 """The estimate of one update, which is printed, broadcast and stored."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from math import sqrt
@@ -80,13 +81,19 @@ class Road:
 
     ``slope_sd`` standard deviation of the slope along it [1], ``length`` over which it changes [m], ``shown_by`` the
     signals that show it, none for a hidden road; ``climbed`` height gained on the way up [m], None where no signal
-    shows it.
+    shows it. ``contradicted``: signals that were left out, because the force and the others show another road.
     """
 
     slope_sd: float
     length: float
     shown_by: tuple[str, ...]
     climbed: float | None
+    contradicted: tuple[str, ...] = ()
+
+
+def left_out(signals: Sequence[str]) -> str:
+    """Clause that says which ``signals`` of the road the others contradict; empty where none is."""
+    return f"; {' and '.join(signals)} contradicted by it and left out" if signals else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,8 +5,8 @@ acceleration weighted with a trapezoid (a box of a stride's length convolved wit
 quantity is averaged with exactly these weights: one low-pass for all columns, and no differentiation of noise.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -92,6 +92,11 @@ class Strides:
     def relative_density(self) -> Floats:
         """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
         return over_mean(self.density)
+
+    def without(self, signals: Sequence[str]) -> "Strides":
+        """Copy in which these ``signals`` of the road have no values."""
+        blank: dict[str, Any] = dict.fromkeys(signals, np.full(len(self), np.nan))
+        return replace(self, **blank)
 
     def __getitem__(self, part: slice | Mask | NDArray[np.intp]) -> "Strides":
         context = {quantity: values[part] for quantity, values in self.context.items()}

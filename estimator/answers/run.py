@@ -110,12 +110,16 @@ class Past(Struct, frozen=True, kw_only=True):
 
 
 class Road(Struct, frozen=True, kw_only=True):
-    """Slopes of the road where the model has one; no height climbed where no signal shows it."""
+    """Slopes of the road where the model has one; no height climbed where no signal shows it.
+
+    ``contradicted``: signals that were left out, because the force and the other signals show another road.
+    """
 
     slope_sd: float
     length_m: float
     shown_by: tuple[str, ...]
     climbed_m: float | None
+    contradicted: tuple[str, ...] = ()
 
 
 class RoadNow(Struct, frozen=True, kw_only=True):

@@ -9,6 +9,7 @@ from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of, wrong_unit_of
 from estimator.estimation.road_fit import RoadFit, fit
 from estimator.estimation.road_search import RoadScales
+from estimator.estimation.road_signals import contradicted
 from estimator.estimation.shapes import fitted_with_shapes, is_free, nearer_shapes, terms_of
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect, obstacle
@@ -22,12 +23,14 @@ MIN_MINUTES = 5.0  # [min] of strides with a known force: shorter drives seldom 
 class Case:
     """A ``drive`` and the effects ``given`` by the configuration.
 
-    ``terms`` hold the given effects that have a column; the slope of the road is a state and has none.
+    ``terms`` hold the given effects that have a column; the slope of the road is a state and has none. Signals of the
+    road that are ``contradicted`` by the others have no values in the drive's strides.
     """
 
     drive: Drive
     given: tuple[Effect, ...]
     terms: tuple[EffectTerm, ...]
+    contradicted: tuple[str, ...] = ()
 
     @property
     def is_road_given(self) -> bool:
@@ -49,9 +52,11 @@ class Case:
         lightest, force = drive.config.prior.mass_kg[0], driven.power / driven.speed
         if reason := wrong_sign_of(driven.power, driven.a) or wrong_unit_of(force, driven.a, lightest):
             return reason
+        others = contradicted(drive.strides, lambda strides, is_level: fit(strides, level=is_level))
+        drive = replace(drive, strides=drive.strides.without(others))
         moving = [effect for effect in given if not (effect.is_gravity or effect.is_absorbed)]
         terms = _terms(drive, moving) if moving else ()
-        return cls(drive, tuple(given), terms)
+        return cls(drive, tuple(given), terms, others)
 
     def beside(self, found: DriveState) -> "Case":
         """Copy whose given terms have the shapes with most evidence beside all effects ``found``."""

@@ -21,6 +21,7 @@ from estimator.diagnosis.result import (
     Remainder,
     Span,
 )
+from estimator.estimates import left_out
 from estimator.estimation.form_doubt import EFFECT_DOUBT
 from estimator.model.effects import Effect
 from estimator.model.spans import Spans
@@ -70,7 +71,7 @@ def _road_finding(decision: Decision) -> Finding:
     if shown < SHOWN_IN_PART:
         return hidden
     how = "shown by" if shown > SHOWN else "shown in part by"
-    signals = ", ".join(name.replace("_", " ") for name in readings)
+    signals = ", ".join(readings) + left_out(decision.cases[decision.result.longest_number].contradicted)
     return replace(
         hidden,
         magnitude=replace(hidden.magnitude, name=SHOWN_SLOPE),

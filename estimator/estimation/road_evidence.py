@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from operator import itemgetter
 
-import numpy as np
-
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.scale_search import most_probable
 from estimator.model.road import ALPHAS, LEVEL
+from estimator.model.road_nodes import SIGNALS
 from estimator.signals import Floats
 from estimator.strides import Strides
 
@@ -31,9 +30,7 @@ def log_bayes_factor_of_signals(strides: Strides, found: RoadFit, starts: Sequen
     If the road of the fit is an unmodelled force, the signals are not correlated with it. ``starts``: as for
     `log_bayes_factor_of_road`.
     """
-    blank = np.full(len(strides), np.nan)
-    hidden = replace(strides, altitude=blank, grade=blank, gravity=blank)
-    shown, unseen = (log_bayes_factor_of_road(seen, found, starts) for seen in (strides, hidden))
+    shown, unseen = (log_bayes_factor_of_road(seen, found, starts) for seen in (strides, strides.without(SIGNALS)))
     return shown - unseen
 
 

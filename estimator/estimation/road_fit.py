@@ -46,6 +46,7 @@ class RoadFit:
     climbed: float  # [m], sum of all rises of the road
     equations: NormalEquations = field(repr=False)
     departures: tuple[float, ...] = ()  # times [s] before which the load may have changed
+    contradicted: tuple[str, ...] = ()  # signals of the road that were left out, see `road_signals`
 
     def checked(self) -> "RoadFit":
         """Return this fit if it is finite.

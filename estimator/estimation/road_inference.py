@@ -34,6 +34,7 @@ from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit, fit, fit_gi
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
+from estimator.estimation.road_signals import contradicted
 from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
 from estimator.estimation.usual_vehicles import Size, unusual
@@ -92,6 +93,7 @@ class RoadInference:
         self._scales: RoadScales | None = None
         self._fitted = 0  # rows in the window when the scales were found
         self._departures: tuple[float, ...] = ()  # [s] between the loads in the window
+        self._contradicted: tuple[str, ...] = ()  # signals of the road that are left out
 
     def start_segment(self, departure: float | None = None) -> float | None:
         """Begin a new load at ``departure`` [s], None at the start of a drive: the present one becomes the one before.
@@ -124,6 +126,7 @@ class RoadInference:
             "lost": [] if self._scales is None else [_scales_state(lost) for lost in self._scales.lost],
             "fitted": self._fitted,
             "departures": list(self._departures),
+            "contradicted": list(self._contradicted),
         }
 
     def restore(self, state: State) -> None:
@@ -144,6 +147,7 @@ class RoadInference:
             self._scales = replace(self._scales, lost=lost)
         self._fitted = read(state, "fitted", Count)
         self._departures = tuple(read(state, "departures", list[float]))
+        self._contradicted = tuple(read(state, "contradicted", list[str]))
         if np.any(np.diff(self._departures) <= 0):
             raise StateError("departures: do not rise")
 
@@ -195,6 +199,14 @@ class RoadInference:
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
+        if grown:
+            self._contradicted = contradicted(
+                strides,
+                lambda seen, is_level: fit(
+                    seen, (), None, self._config.kinematics.maximum_lag_s, self._departures, is_level
+                ),
+            )
+        strides = strides.without(self._contradicted)
         terms = terms_of(
             strides, self._effects, lambda: self._fitted_beside(strides, (), self._scales, is_search=False)
         )
@@ -206,7 +218,7 @@ class RoadInference:
         if grown or self._scales is None or found.scales.readings != self._scales.readings:
             self._fitted = held
         self._scales = found.scales
-        return averaged(strides, found).checked()
+        return replace(averaged(strides, found).checked(), contradicted=self._contradicted)
 
     def _fitted_beside(
         self, strides: Strides, terms: tuple[EffectTerm, ...], scales: RoadScales | None, is_search: bool
@@ -407,4 +419,4 @@ def _advice(name: str, found: RoadFit) -> str:
 def _road(found: RoadFit) -> Road:
     """The road of an estimate."""
     climbed = found.climbed if found.scales.readings else None
-    return Road(found.slope_sd, found.slope_length, found.scales.readings, climbed)
+    return Road(found.slope_sd, found.slope_length, found.scales.readings, climbed, found.contradicted)

@@ -117,7 +117,13 @@ def road(estimate: Estimate) -> answer.Road | None:
     found = estimate.road
     if found is None:
         return None
-    return answer.Road(slope_sd=found.slope_sd, length_m=found.length, shown_by=found.shown_by, climbed_m=found.climbed)
+    return answer.Road(
+        slope_sd=found.slope_sd,
+        length_m=found.length,
+        shown_by=found.shown_by,
+        climbed_m=found.climbed,
+        contradicted=found.contradicted,
+    )
 
 
 def coverage_map(window: Window, gate: Gate, latest: Estimate | None) -> answer.CoverageMap:

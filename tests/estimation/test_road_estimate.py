@@ -11,6 +11,7 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import J1939_BINDING, from_dict
 from estimator.estimates import Estimate, Status
 from estimator.report import summary
+from estimator.report.parameter_text import road
 from estimator.signals import Role, Series, Signals
 from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import GRADE_SPACING, generate_route
@@ -209,6 +210,35 @@ def test_a_bad_signal_of_the_road_makes_no_wrong_mass(drive, role, spoil):
     else:
         assert found.mass is None
         assert found.reason
+
+
+def smoothed(series: Series) -> Series:
+    """As a receiver for satellites smooths it: without hills of less than two kilometres."""
+    window = np.hanning(int(120.0 / np.median(np.diff(series.t))))
+    even = np.convolve(np.pad(series.value, len(window), mode="edge"), window / window.sum(), "same")
+    return replace(series, value=np.round(even[len(window) : -len(window)], 2))
+
+
+def test_an_altitude_that_the_force_and_a_grade_contradict_is_left_out(drive):
+    signals = without(drive.signals, {Role.LONGITUDINAL_ACCELERATION})
+    right = concluded(signals, signals=WITH_GRADE)
+    assert right.road.shown_by == ("altitude", "grade")
+    assert right.road.contradicted == ()
+    signals[Role.ALTITUDE] = smoothed(signals[Role.ALTITUDE])
+    found = concluded(signals, signals=WITH_GRADE)
+    alone = concluded(without(signals, {Role.ALTITUDE}), signals=WITH_GRADE)
+    assert found.road.shown_by == ("grade",)
+    assert found.road.contradicted == ("altitude",)
+    assert found.mass == alone.mass
+    assert away(found) < 0.01
+    assert "shown by grade; altitude contradicted by it and left out" in road(summary.road(found))
+
+
+def test_by_the_force_alone_no_signal_is_left_out(drive):
+    signals = without(drive.signals, CLIMB - {Role.ALTITUDE})
+    found = concluded(signals | {Role.ALTITUDE: smoothed(signals[Role.ALTITUDE])})
+    assert found.road.shown_by == ("altitude",)
+    assert found.road.contradicted == ()
 
 
 def test_a_late_torque_is_a_wrong_time_stamp_unless_the_configuration_expects_it(drive):
