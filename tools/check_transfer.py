@@ -93,7 +93,7 @@ CHECK = Check(
     title="The promise on another drive",
     measure=measure,
     tables=tables,
-    headline=Cells(columns=("promised [%]", "reached on drive 2 [%]")),
+    headline=Cells(rows=("grade", "headwind", "torque_bias"), columns=("promised [%]", "reached on drive 2 [%]")),
     options=add_options,
 )
 
