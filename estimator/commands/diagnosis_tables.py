@@ -40,7 +40,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
         residual = ", ".join(f"{name} {wording.kilowatts(rms)}" for name, rms in steps)
         yield "residual", f"{residual}; noise floor {wording.kilowatts(d.noise_floor)} (rms of means over 2 s)"
     for effect in d.effects:
-        yield "found", _found(effect, len(d.logs) > 1)
+        yield "found", _found(d, effect)
     if d.effects and d.base is not None and d.final is not None:
         change = Shift(d.final.mass - d.base.mass, d.final.A - d.base.A, d.final.C - d.base.C)
         yield "shift", wording.shift(change, d.deviation)
@@ -63,13 +63,13 @@ def _limits(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "would tell", advice
 
 
-def _found(effect: Finding, several: bool) -> str:
+def _found(d: Diagnosis, effect: Finding) -> str:
     others = ", ".join(wording.label(name) for name in effect.equivalent)
     parts = [
         wording.label(effect.name),
         wording.size(effect.magnitude),
-        wording.action(effect, several) if effect.detail or effect.span else "",
-        f"closes {wording.interval(effect.gap_closed)} of the gap" if effect.gap_closed else "",
+        wording.action(effect, len(d.logs) > 1) if effect.detail or effect.span else "",
+        wording.closes(d, effect),
         f"not told apart from {others}" if others else "",
     ]
     return "; ".join(filter(None, parts))

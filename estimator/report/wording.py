@@ -202,11 +202,26 @@ def ladder(d: Diagnosis) -> list[tuple[str, float]]:
     after = [_by_force(d, effect.rms_after) if is_hidden(effect) else effect.rms_after for effect in others]
     if after and d.rms_final is not None:
         after[-1] = d.rms_final
-    names = [f"+ {label(f.name)}{' by the force alone' if is_hidden(f) else ''}" for f in others]
-    steps = list(zip(names, after, strict=True))
-    if late is None:
-        return [(base_name(d), d.rms_base), *steps]
-    return [(base_name(d), d.rms_base), (f"+ {label(late.name)}", late.rms_after), *steps]
+    first = [] if late is None else [(_step_name(late), late.rms_after)]
+    return [(base_name(d), d.rms_base), *first, *zip(map(_step_name, others), after, strict=True)]
+
+
+def closes(d: Diagnosis, effect: Finding) -> str:
+    """What a named ``effect`` takes away: its share of the gap, and what it takes off the residual beside others.
+
+    What several effects take together is split evenly. So an effect may have no share although the residual falls.
+    """
+    steps = ladder(d)
+    name = _step_name(effect)
+    number = next((i for i, (step, _) in enumerate(steps) if step == name), 0)
+    (_, before), (_, after) = steps[number - 1 : number + 1] if number > 1 else [("", 0.0)] * 2
+    falls = f"takes the residual from {kilowatts(before)} to {kilowatts(after)}" if after < before else ""
+    share = "" if effect.gap_closed is None else f"closes {interval(effect.gap_closed)} of the gap"
+    return ", ".join(filter(None, (share, falls)))
+
+
+def _step_name(effect: Finding) -> str:
+    return f"+ {label(effect.name)}{' by the force alone' if is_hidden(effect) else ''}"
 
 
 def _by_force(d: Diagnosis, known: float) -> float:

@@ -38,7 +38,7 @@ def chosen(d: Diagnosis) -> str:
         blocks.append(
             f"<li><h3>{html.escape(wording.with_equivalents(f))}</h3><p>{html.escape(wording.size(f.magnitude))}, "
             f"<span class='whole'>probability {html.escape(wording.percent(f.probability))}</span></p>"
-            f"{how}<p>gap closed {html.escape(wording.interval(f.gap_closed))}</p>{share}</li>"
+            f"{how}<p>{html.escape(wording.closes(d, f) or number_format.NOTHING)}</p>{share}</li>"
         )
     return f'<ul class="chosen">{"".join(blocks)}</ul>' if blocks else ""
 
