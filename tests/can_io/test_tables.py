@@ -14,7 +14,8 @@ from simulated_logs import TRUCK, ask, drive, written
 
 from estimator import estimate, from_table, read
 from estimator.can_io.logs import table_text
-from estimator.can_io.logs.table import TableLog
+from estimator.can_io.logs.table import SAME_TIME, TableLog
+from estimator.can_io.logs.table_times import SameTimes
 from estimator.can_io.table_columns import split_unit
 from estimator.commands.main import main
 from estimator.config import from_dict
@@ -289,6 +290,69 @@ def test_a_fleet_of_tables_without_a_column_is_refused(tmp_path: Path, capsys: p
     unreadable, nothing = capsys.readouterr().err.splitlines()
     assert "a.csv: has no column 'W'; there are 't', 'v', 'P'" in unreadable
     assert "none of 1 log can be used" in nothing
+
+
+RATES = {"speed": "v [km/h]", "power": "P [kW]"}
+
+
+def of_two_rates(n: int, every: int = 2) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """One table with the power in every second row, and the same one with a row for each value, at the same times."""
+    t, v = np.arange(n) / 10, 60.0 + 10.0 * np.sin(np.arange(n) / 40)
+    joined = {"t": t, "v": v, "P": np.where(np.arange(n) % every, np.nan, 50.0)}
+    at = np.sort(np.concatenate([np.arange(n), np.arange(0, n, every)]))
+    is_power = np.diff(at, prepend=-1) == 0
+    apart = {"t": t[at], "v": np.where(is_power, np.nan, v[at]), "P": np.where(is_power, 50.0, np.nan)}
+    return joined, apart
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_rows_of_one_time_that_fill_other_columns_are_one_row(every: int) -> None:
+    """As in an export of channels of several rates: 10 Hz of speed and 5 or 10 Hz of power, in pieces of the table."""
+    joined, apart = of_two_rates(11_000, every)
+    (expected,), (rows,) = (from_table(columns, **RATES).pieces for columns in (joined, apart))
+    np.testing.assert_array_equal(rows.t, expected.t)
+    np.testing.assert_array_equal(rows.speed, expected.speed)
+    np.testing.assert_array_equal(rows.power, expected.power)
+
+
+def test_a_force_is_multiplied_by_the_speed_of_another_row_of_its_time() -> None:
+    _, apart = of_two_rates(300)
+    (rows,) = from_table(apart, speed="v [km/h]", force="P [kN]").pieces
+    assert rows.power[50] == pytest.approx(5e4 * rows.speed[50], rel=1e-3)
+
+
+def test_a_value_at_the_time_of_another_one_is_refused_and_its_row_counted(tmp_path: Path) -> None:
+    """Row 4 repeats a speed, brings the power of its time, and is counted; row 3 has no value."""
+    t = [0.0, 0.1, 0.1, 0.1, 0.2, 0.3]
+    v, P = [70.0, 71.0, np.nan, 99.0, 72.0, 73.0], [50.0, np.nan, np.nan, 51.0, 52.0, 53.0]
+    log = TableLog(written_table({"t": t, "v": v, "P": P}, tmp_path / "a.csv"), Table(columns=RATES))
+    (frames,) = log
+    assert frames.t.tolist() == [0.0, 0.0, 0.1, 0.1, 0.2, 0.2, 0.3, 0.3]
+    assert frames.data.view(np.float64)[:, 0].tolist() == [70.0, 50.0, 71.0, 51.0, 72.0, 52.0, 73.0, 53.0]
+    assert log.skipped == {SAME_TIME: 1}
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 2), st.booleans(), st.booleans()), max_size=30), st.integers(1, 30))
+def test_rows_of_one_time_are_joined_however_they_are_cut_into_pieces(
+    rows: list[tuple[int, bool, bool]], size: int
+) -> None:
+    """Against a mapping of each time and column to its first value."""
+    t = np.cumsum([0.0, *(step for step, _, _ in rows)])[1:]
+    cells = np.array([[i if v else np.nan, -i if P else np.nan] for i, (_, v, P) in enumerate(rows)]).reshape(-1, 2)
+    first, refused = dict[tuple[float, int], float](), set[int]()
+    for i, j in zip(*np.nonzero(np.isfinite(cells)), strict=True):
+        if (t[i], j) in first:
+            refused.add(int(i))
+        first.setdefault((t[i], j), cells[i, j])
+    joiner = SameTimes(2)
+    parts = [joiner.feed(t[i : i + size], cells[i : i + size]) for i in range(0, len(t), size)]
+    times, joined = (np.concatenate(some) for some in zip(*parts, joiner.finish(), strict=True))
+    assert times.tolist() == sorted(set(t.tolist()))
+    there = zip(*np.nonzero(np.isfinite(joined)), strict=True)
+    assert {(times[i], j): joined[i, j] for i, j in there} == first
+    assert (joiner.times, joiner.refused) == (len(times), len(refused))
+    assert joiner.first == min(refused, default=-1) + 1
 
 
 def test_rows_that_come_too_seldom_are_refused_before_all_are_read(tmp_path: Path) -> None:

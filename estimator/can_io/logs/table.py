@@ -18,6 +18,7 @@ from estimator.can_io.logs import table_activity, table_mf4, table_parquet, tabl
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
 from estimator.can_io.logs.table_text import is_number
+from estimator.can_io.logs.table_times import SameTimes
 from estimator.can_io.table_columns import (
     FORCE_UNITS,
     NUMBER_BYTES,
@@ -29,7 +30,7 @@ from estimator.can_io.table_columns import (
 )
 from estimator.errors import LogError
 from estimator.settings import Table
-from estimator.signals import Floats, Mask, Role
+from estimator.signals import Floats, Role
 from estimator.units import conversion_of
 
 Reader = Callable[[Path, Wanted], Iterator[Piece]]
@@ -99,7 +100,8 @@ def table_frames(
 ) -> Iterator[Frames]:
     """Yield frames of a table from pieces of rows, each a mapping of column names to cells (n,).
 
-    A row at the time of the one before, as between two laps, is left out and counted in ``skipped``.
+    Rows of one time are one row. A cell whose column has a value at its time, as of a row that two laps share, is left
+    out, and its row counted in ``skipped``.
 
     Raises
     ------
@@ -107,28 +109,25 @@ def table_frames(
         A column is missing, a cell is not a number, or times do not ascend or are too far apart; it names the row.
     """
     columns = columns_of(table)
-    previous, row, steps, is_judged, repeated, first = -np.inf, 1, list[Floats](), False, 0, 0
+    previous, row, steps, is_judged, rows = -np.inf, 1, list[Floats](), False, SameTimes(len(columns))
     for piece in pieces:
         t = _times(source, table, piece, row)
-        is_later = _check_forward(source, t, previous, row)
-        if not is_later.all():
-            first = first or row + int(np.argmin(is_later))
-            repeated += int(np.count_nonzero(~is_later))
-        values = _values(source, columns, piece, row)[is_later]
-        row, t = row + len(t), t[is_later]
+        later = _steps(source, t, previous, row)
+        values = _values(source, columns, piece, row)
+        row, previous = row + len(t), float(t[-1]) if len(t) else previous
         if not is_judged:
-            steps.append(np.diff(t, prepend=t[:0] if not np.isfinite(previous) else previous))
+            steps.append(later)
             is_judged = row > ROWS
             if is_judged:
                 _check_rate(source, steps)  # before hours of rows are processed that come too seldom
-        previous = float(t[-1]) if len(t) else previous
-        yield _frames(t, values)
-    if skipped is not None and repeated:
-        skipped[SAME_TIME] += repeated
-    if 2 * repeated >= row - 1 > 0:
+        yield _frames(columns, *rows.feed(t, values))
+    yield _frames(columns, *rows.finish())
+    if skipped is not None and rows.refused:
+        skipped[SAME_TIME] += rows.refused
+    if rows.refused >= max(rows.times, 1):
         raise LogError(
-            f"{source}: rows {first - 1} and {first} have one time, and so have half of the rows; give a column with "
-            "fractions of seconds"
+            f"{source}: rows {rows.first - 1} and {rows.first} have one time, and so have half of the rows; give a "
+            "column with fractions of seconds"
         )
     if not is_judged:
         _check_rate(source, steps)
@@ -171,8 +170,8 @@ def _date(source: str, text: str, row: int) -> float:
     return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
-def _check_forward(source: str, t: Floats, previous: float, row: int) -> Mask:
-    """Which rows (n,) are later than the one before; refuses rows without a time, and those that are earlier."""
+def _steps(source: str, t: Floats, previous: float, row: int) -> Floats:
+    """Steps [s] between the times of rows; refuses rows without a time, and those that are earlier than one before."""
     steps = np.diff(t, prepend=previous)
     if wrong := np.flatnonzero(~np.isfinite(t)).tolist():
         raise LogError(f"{source}: row {row + wrong[0]}: has no time; fill it in, or delete the row")
@@ -183,24 +182,15 @@ def _check_forward(source: str, t: Floats, previous: float, row: int) -> Mask:
             f"{source}: row {row + i}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or give each "
             "drive as a table of its own"
         )
-    is_later: Mask = steps > 0
-    return is_later
+    return steps[(steps > 0) & np.isfinite(steps)]
 
 
 def _values(source: str, columns: Sequence[Column], piece: Mapping[str, Any], row: int) -> Floats:
-    """Values (n, k) of the columns in the units of their messages; NaN for a cell without a value."""
+    """Values (n, k) in the units of their columns; NaN for a cell without a value."""
     for column in columns:
         if column.name not in piece:
             raise LogError(f"{source}: has no column {column.name!r}; there are {_listed(piece)}")
-    values = {column.role: _numbers(source, column.name, piece[column.name], row) for column in columns}
-    for column in columns:
-        if column.is_force:
-            speed = next(other for other in columns if other.role is Role.SPEED)
-            conversion = conversion_of(speed.unit)
-            assert conversion is not None  # checked with the configuration
-            force = FORCE_UNITS[column.unit.lower()] * values[column.role]
-            values[column.role] = force * conversion.scale * values[Role.SPEED]
-    return np.column_stack([values[column.role] for column in columns])
+    return np.column_stack([_numbers(source, column.name, piece[column.name], row) for column in columns])
 
 
 def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
@@ -219,9 +209,16 @@ def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
         raise LogError(f"{source}: {cell} is no number; correct it, or leave the cell empty") from None
 
 
-def _frames(t: Floats, values: Floats) -> Frames:
-    """One frame for every value, row by row."""
+def _frames(columns: Sequence[Column], t: Floats, values: Floats) -> Frames:
+    """One frame for every value of rows (n, k), row by row; that of a force is its power [W]."""
     n, k = values.shape
+    roles = [column.role for column in columns]
+    for i, column in enumerate(columns):
+        if column.is_force:
+            speed = roles.index(Role.SPEED)
+            conversion = conversion_of(columns[speed].unit)
+            assert conversion is not None  # checked with the configuration
+            values[:, i] = FORCE_UNITS[column.unit.lower()] * values[:, i] * conversion.scale * values[:, speed]
     is_known = np.isfinite(values).ravel()
     ident = np.tile(np.array([ident_of(i) for i in range(k)], np.uint32), n)[is_known]
     data = np.ascontiguousarray(values.ravel()[is_known].reshape(-1, 1)).view(np.uint8).reshape(-1, CLASSIC_BYTES)
