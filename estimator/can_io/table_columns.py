@@ -5,7 +5,7 @@ and values are so judged as those of a bus.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 from cantools.database.can import Database, Message, Signal
@@ -16,29 +16,30 @@ from estimator.errors import ConfigError
 from estimator.near_names import did_you_mean
 from estimator.roles import DIMENSION, GRADES, STATE, Role
 from estimator.settings import Table
-from estimator.units import conversion_of, spellings_of
+from estimator.units import conversion_of, normal_form, spellings_of
 
 NUMBER_BYTES = 8
 FIRST_IDENT = 0x18FF0000  # of groups without a meaning of their own (J1939 proprietary B)
 POWER, FORCE = "power", "force"  # names for the power at the wheels, and for the force there
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+_SECONDS = {normal_form(unit): seconds for unit, seconds in TIME_UNITS.items()}
 FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
 WITH_UNIT = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class Column:
-    """Column ``name`` in a ``unit``, read for a ``role``; ``is_force``: its product with the speed is that power."""
+    """Column in a ``unit``, read for a ``role``, by a ``text``; ``is_force``: its product with the speed is a power."""
 
     role: Role
-    name: str
+    text: str
     unit: str
     is_force: bool = False
 
     @property
     def signal(self) -> str:
         """Name of its signal: letters, digits and underscores."""
-        return re.sub(r"\W+", "_", self.name).strip("_") or "column"
+        return re.sub(r"\W+", "_", split_unit(self.text)[0]).strip("_") or "column"
 
     @property
     def path(self) -> str:
@@ -51,6 +52,17 @@ def split_unit(text: str) -> tuple[str, str | None]:
     match = WITH_UNIT.fullmatch(text)
     assert match is not None  # it takes any text
     return match["name"], match["unit"]
+
+
+def name_in(there: Container[str], text: str) -> str:
+    """Name of the column that ``speed [km/h]`` means among others: this, unit included, or else ``speed``."""
+    whole = text.strip()
+    return whole if whole in there else split_unit(text)[0]
+
+
+def seconds_in(unit: str) -> float | None:
+    """Seconds [s] in a unit of time; None if it is not known."""
+    return _SECONDS.get(normal_form(unit))
 
 
 def columns_of(table: Table) -> list[Column]:
@@ -73,7 +85,7 @@ def columns_of(table: Table) -> list[Column]:
             raise ConfigError(f'table.columns.{key}: names no column; write {key} = "COLUMN [unit]"')
         if reason := _misfit(key, role, unit):
             wrong.append(f'{key} = "{text}" {reason}')
-        columns.append(Column(role, name, "" if unit is None else unit, key == FORCE))
+        columns.append(Column(role, text, "" if unit is None else unit, key == FORCE))
     if wrong:
         raise ConfigError(f"table.columns: {'; '.join(wrong)}")
     roles = [column.role for column in columns]

@@ -16,7 +16,7 @@ from estimator import estimate, from_table, read
 from estimator.can_io.logs import table_text
 from estimator.can_io.logs.table import SAME_TIME, TableLog
 from estimator.can_io.logs.table_times import SameTimes
-from estimator.can_io.table_columns import split_unit
+from estimator.can_io.table_columns import seconds_in, split_unit
 from estimator.commands.main import main
 from estimator.config import from_dict
 from estimator.errors import LogError, RoadloadError
@@ -353,6 +353,27 @@ def test_rows_of_one_time_are_joined_however_they_are_cut_into_pieces(
     assert {(times[i], j): joined[i, j] for i, j in there} == first
     assert (joiner.times, joiner.refused) == (len(times), len(refused))
     assert joiner.first == min(refused, default=-1) + 1
+
+
+@pytest.mark.parametrize("text", ["Dyno_Speed[mph]", " Dyno_Speed[mph]", "Dyno_Speed[mph] [mph]", "v [km/h]"])
+@pytest.mark.parametrize("time", ["Time[sec]", "Time[sec] [s]", "t [ms]"])
+def test_a_unit_in_the_heading_of_a_column_is_its_unit(text: str, time: str, tmp_path: Path) -> None:
+    """The whole text is a column, or what stands before its last brackets; in memory and in a file."""
+    n = 200
+    columns = {"Time[sec]": np.arange(n) / 10, "t": 100.0 * np.arange(n), "Dyno_Speed[mph]": np.full(n, 45.0)}
+    columns |= {"v": np.full(n, 45 * 1.609344), "P[kW]": np.full(n, 50.0), "Brake[on]": np.zeros(n)}
+    roles = {"time": time, "speed": text, "power": "P[kW]", "brake_switch": "Brake[on]"}
+    (in_memory,) = from_table(columns, **roles).pieces
+    (in_file,) = read(written_table(columns, tmp_path / "a.csv"), columns=roles).pieces
+    for rows in (in_memory, in_file):
+        assert rows.speed[50] == pytest.approx(45 * 0.44704)
+        assert rows.power[50] == pytest.approx(5e4)
+        assert len(rows) == pytest.approx(n, abs=3)
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("s", 1.0), ("Seconds", 1.0), ("msec", None), ("µs", 1e-6), ("", None)])
+def test_units_of_time(unit: str, seconds: float | None) -> None:
+    assert seconds_in(unit) == seconds
 
 
 def test_rows_that_come_too_seldom_are_refused_before_all_are_read(tmp_path: Path) -> None:

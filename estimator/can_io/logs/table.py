@@ -26,6 +26,8 @@ from estimator.can_io.table_columns import (
     Column,
     columns_of,
     ident_of,
+    name_in,
+    seconds_in,
     split_unit,
 )
 from estimator.errors import LogError
@@ -87,8 +89,10 @@ def _named(path: Path, table: Table, there: Iterable[str]) -> set[str]:
         Two columns have one of these names.
     """
     columns = list(there)
-    times = {name for name in columns if name.lower() in TIMES} if table.time is None else {split_unit(table.time)[0]}
-    named = {column.name for column in columns_of(table)} | times
+    given = [column.text for column in columns_of(table)] + ([] if table.time is None else [table.time])
+    named = {name_in(columns, text) for text in given}
+    if table.time is None:
+        named |= {name for name in columns if name.lower() in TIMES}
     for name in sorted(named & set(columns)):
         if columns.count(name) > 1:
             raise LogError(f"{path}: has the column {name!r} {columns.count(name)} times; rename or leave out one")
@@ -145,14 +149,15 @@ def _check_rate(source: str, steps: Sequence[Floats]) -> None:
 
 def _times(source: str, table: Table, piece: Mapping[str, Any], row: int) -> Floats:
     """Times [s] (n,) of the rows."""
-    name, unit = (None, None) if table.time is None else split_unit(table.time)
-    if name is None:
-        name = next((column for column in piece if column.lower() in TIMES), None)
+    if table.time is None:
+        name, unit = next((column for column in piece if column.lower() in TIMES), None), None
+    else:
+        name, unit = name_in(piece, table.time), split_unit(table.time)[1]
     if name is None or name not in piece:
         wanted = f"column {name!r}" if name else f"column of times ({', '.join(TIMES[:4])} ...)"
         raise LogError(f'{source}: has no {wanted}; name it: --map time="COLUMN [s]"; there are {_listed(piece)}')
-    factor = 1.0 if unit is None else TIME_UNITS.get(unit.lower(), np.nan)
-    if not np.isfinite(factor):
+    factor = 1.0 if unit is None else seconds_in(unit)
+    if factor is None:
         raise LogError(f"{source}: the unit {unit!r} of the times is not known; write one of {' '.join(TIME_UNITS)}")
     cells = np.asarray(piece[name])
     if cells.dtype.kind == "M":
@@ -187,10 +192,11 @@ def _steps(source: str, t: Floats, previous: float, row: int) -> Floats:
 
 def _values(source: str, columns: Sequence[Column], piece: Mapping[str, Any], row: int) -> Floats:
     """Values (n, k) in the units of their columns; NaN for a cell without a value."""
-    for column in columns:
-        if column.name not in piece:
-            raise LogError(f"{source}: has no column {column.name!r}; there are {_listed(piece)}")
-    return np.column_stack([_numbers(source, column.name, piece[column.name], row) for column in columns])
+    names = [name_in(piece, column.text) for column in columns]
+    for name in names:
+        if name not in piece:
+            raise LogError(f"{source}: has no column {name!r}; there are {_listed(piece)}")
+    return np.column_stack([_numbers(source, name, piece[name], row) for name in names])
 
 
 def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
