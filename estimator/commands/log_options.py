@@ -65,16 +65,16 @@ def _table(given: Table | None, mappings: Sequence[str]) -> Table | None:
     """The table of the configuration, with the columns of --map."""
     if not mappings:
         return given
-    columns, time = dict(given.columns) if given else {}, given.time if given else None
+    mapped = dict[str, str]()
     for mapping in mappings:
-        role, sign, column = mapping.partition("=")
+        role, sign, column = (part.strip() for part in mapping.partition("="))
         if not sign:
             raise ConfigError(f'--map {mapping}: write ROLE="COLUMN [unit]", as in --map speed="v [km/h]"')
-        if role == "time":
-            time = column
-        else:
-            columns[role] = column
-    return Table(time=time, columns=columns)
+        if role in mapped:
+            raise ConfigError(f'--map {role}: is given twice, "{mapped[role]}" and "{column}"; leave out one')
+        mapped[role] = column
+    time = mapped.pop("time", given.time if given else None)
+    return Table(time=time, columns={**(given.columns if given else {}), **mapped})
 
 
 def complain_of_databases(settings: Config) -> None:
