@@ -346,7 +346,9 @@ def test_a_file_left_open_ends_where_the_power_was_lost(tmp_path: Path, lost: in
 def test_a_log_of_other_values_is_named(tmp_path: Path) -> None:
     raw = mdf(WHOLE, Style()).replace(b"CAN_DataFrame", b"LIN_DataFrame")
     (tmp_path / "a.mf4").write_bytes(raw)
-    assert "no CAN frames in it, only other values" in message_of(tmp_path / "a.mf4")
+    message = message_of(tmp_path / "a.mf4")
+    assert "no CAN frames in it, only other values; give the log of the bus, or, if they are decoded" in message
+    assert '--map speed="COLUMN [km/h]"' in message
 
 
 def test_an_older_version_is_named(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from simulated_logs import TRUCK, ask, drive, written
 
 from estimator import estimate, from_table, read
 from estimator.can_io.logs import table_text
-from estimator.can_io.logs.table import SAME_TIME, TableLog
+from estimator.can_io.logs.table import SAME_TIME, SUFFIXES, TableLog
 from estimator.can_io.logs.table_times import SameTimes
 from estimator.can_io.table_columns import seconds_in, split_unit
 from estimator.commands.main import main
@@ -377,6 +377,26 @@ def test_a_unit_in_the_heading_of_a_column_is_its_unit(text: str, time: str, tmp
 @pytest.mark.parametrize(("unit", "seconds"), [("s", 1.0), ("Seconds", 1.0), ("msec", None), ("µs", 1e-6), ("", None)])
 def test_units_of_time(unit: str, seconds: float | None) -> None:
     assert seconds_in(unit) == seconds
+
+
+@pytest.mark.parametrize("suffix", [suffix for suffix in SUFFIXES if suffix not in {".csv.gz", ".mf4"}] + [".xlsx"])
+def test_a_table_that_is_given_as_a_log_leads_to_map(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An unknown suffix may be one of a log too, and so may .txt."""
+    (tmp_path / f"a{suffix}").write_bytes(b"t;v;P\n0;72;50\n")
+    line = refused(capsys, "estimate", tmp_path / f"a{suffix}")
+    assert line.endswith('give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"')
+    assert ("unknown log format" in line) == (suffix in {".txt", ".xlsx"})
+
+
+def test_a_file_that_is_no_table_is_refused_with_the_formats_that_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.xlsx").write_bytes(b"PK")
+    line = refused(capsys, "estimate", tmp_path / "a.xlsx", *MAP)
+    assert "a.xlsx: is no table that can be read (.csv, " in line
+    assert line.endswith("); export it as one of them, or, for a log, take out --map, or [table] of the configuration")
 
 
 def test_rows_that_come_too_seldom_are_refused_before_all_are_read(tmp_path: Path) -> None:

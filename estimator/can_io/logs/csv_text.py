@@ -12,6 +12,7 @@ from estimator.can_io.logs.csv_columns import read_usual
 from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Coding, Layout, shown
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Grammar, Lines
+from estimator.can_io.logs.log import GIVE_COLUMNS
 from estimator.errors import LogError
 
 HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
@@ -68,12 +69,10 @@ class CsvLog(LineLog):
             super()._unread(line)
 
 
-def decoded_table(path: Path, header: bytes) -> str:
+def decoded_table(path: Path, header: bytes = b"") -> str:
     """Error message for a table of decoded values given as a log, with the options that read it."""
-    return (
-        f"{path}: a table of decoded values, not a log of frames (its columns: {shown(header)}); "
-        'give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
-    )
+    columns = f" (its columns: {shown(header)})" if header else ""
+    return f"{path}: a table of decoded values, not a log of frames{columns}; {GIVE_COLUMNS}"
 
 
 def layout(line: bytes) -> Layout | None:

@@ -19,6 +19,7 @@ BATCH = 131_072  # frames, the most in one batch: decoding one takes 1.6 ms and 
 
 ERROR_FRAME = "error frame"
 REMOTE_FRAME = "remote frame"
+GIVE_COLUMNS = 'give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'  # of a table that is no log
 
 
 class Log(ABC):

@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs.channels import Channels
-from estimator.can_io.logs.log import Log
+from estimator.can_io.logs.log import GIVE_COLUMNS, Log
 from estimator.can_io.logs.mdf.blocks import BadMdfError, MdfFile, UnreadMdfError
 from estimator.can_io.logs.mdf.groups import DataGroup, FrameGroup, data_groups, start_time
 from estimator.can_io.logs.mdf.merging import merged
@@ -47,7 +47,10 @@ class Mf4Log(Log):
             try:
                 content = Content(file, flags, self.skipped, self.channels)
                 if not content.has_frames:
-                    raise LogError(f"{self.path}: no CAN frames in it, only other values; give the log of the bus")
+                    raise LogError(
+                        f"{self.path}: no CAN frames in it, only other values; give the log of the bus, or, if they "
+                        f"are decoded signals, {GIVE_COLUMNS}"
+                    )
                 for frames in merged(content.streams):
                     count += len(frames)
                     self.progress = min(file.consumed / file.size, 1.0)

@@ -14,10 +14,11 @@ from estimator.can_io.logs.candump import CandumpLog
 from estimator.can_io.logs.candump_line import MAX_LINE, layout
 from estimator.can_io.logs.crtd import CrtdLog
 from estimator.can_io.logs.crtd import layout as crtd_layout
-from estimator.can_io.logs.csv_text import CsvLog
+from estimator.can_io.logs.csv_text import CsvLog, decoded_table
 from estimator.can_io.logs.line_layout import NOTHING, BadLineError, Layout
-from estimator.can_io.logs.log import Log
+from estimator.can_io.logs.log import GIVE_COLUMNS, Log
 from estimator.can_io.logs.mf4 import Mf4Log
+from estimator.can_io.logs.table import SUFFIXES
 from estimator.can_io.logs.trc import TrcLog
 from estimator.errors import LogError
 
@@ -38,6 +39,7 @@ FORMATS: dict[str, type[Log]] = {
     ".trc.gz": TrcLog,
 }
 TEXTS: dict[type[Log], Callable[[bytes], Layout]] = {CandumpLog: layout, CrtdLog: crtd_layout}
+TABLES = tuple(suffix for suffix in SUFFIXES if suffix not in {*FORMATS, ".txt"})  # a log may be a .txt, too
 STARTS = {  # what files of a format begin with
     ".gz": rb"\x1f\x8b",
     ".blf": rb"LOGG",
@@ -89,10 +91,12 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
         raise LogError(f"{path}: begins as a {suffix} file does; rename it to {_renamed(path, suffix)}")
     if reader is None:
         reader = next((log for log, parse in TEXTS.items() if _begins_with(parse, start)), None)
+    if reader is None and name.endswith(TABLES):
+        raise LogError(decoded_table(path))
     if reader is None:
         raise LogError(
             f"{path}: unknown log format '{path.suffix}'; rename it if it is one of {', '.join(FORMATS)}, "
-            "or export it as one of them from the tool that recorded it"
+            f"or export it as one of them from the tool that recorded it; if it holds a table of values, {GIVE_COLUMNS}"
         )
     return reader(path, channels)
 

@@ -66,7 +66,10 @@ class TableLog(Log):
         if not path.is_file():
             raise LogError(f"{path}: no such file; check the path")
         if not path.name.lower().endswith(SUFFIXES):
-            raise LogError(f"{path}: is no table that can be read ({', '.join(SUFFIXES)}); take the table [table] out")
+            raise LogError(
+                f"{path}: is no table that can be read ({', '.join(SUFFIXES)}); export it as one of them, or, for a "
+                "log, take out --map, or [table] of the configuration"
+            )
 
     def _read(self) -> Iterator[Frames]:
         for frames in table_frames(str(self.path), self._table, self._cells(), self.skipped):
