@@ -20,14 +20,19 @@ SLOWEST = 1.0  # s, between readings of speed or power on a bus
 
 def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:
     """Roles that speed and power are computed from, given those that are ``bound``."""
-    speed = Role.SPEED if Role.SPEED in bound else Role.WHEEL_SPEEDS
-    return [speed, *engine_power.needed(vehicle, bound)]
+    return [_speed(bound), *engine_power.needed(vehicle, bound)]
+
+
+def listed(missing: Collection[Role], names: Mapping[Role, str], config: Config) -> str:
+    """The ``missing`` roles, by the ``names`` of their signals where bound; a bus may have the speeds of wheels too."""
+    others = {} if config.table is not None else {Role.SPEED: f"{Role.SPEED} or {Role.WHEEL_SPEEDS}"}
+    return ", ".join(names.get(role) or others.get(role, role.value) for role in missing)
 
 
 def unbound(config: Config, bound: Set[Role]) -> str:
     """Sentence that names the needed roles that are not ``bound``, and the remedy; empty if none is missing."""
     missing = [role for role in needed(config.vehicle, bound) if role not in bound]
-    return f"no signal for {', '.join(missing)}; {remedy(missing, bound, config.binding)}" if missing else ""
+    return f"no signal for {listed(missing, {}, config)}; {remedy(missing, bound, config.binding)}" if missing else ""
 
 
 def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:
@@ -96,13 +101,18 @@ def _is_needed(role: Role, chosen: list[Role]) -> bool:
 
 def _shortest(seen: Collection[Role]) -> list[Role]:
     """Smallest set of roles that speed and power follow from; roles ``seen`` are preferred."""
-    speed = Role.WHEEL_SPEEDS if Role.WHEEL_SPEEDS in seen and Role.SPEED not in seen else Role.SPEED
+    speed = _speed(seen)
     if Role.TORQUE_FRACTION in seen and Role.ENGINE_SPEED in seen:
         reference = [Role.REFERENCE_TORQUE] if Role.REFERENCE_TORQUE in seen else []
         return [speed, Role.TORQUE_FRACTION, Role.ENGINE_SPEED, *reference]
     if Role.ENGINE_TORQUE in seen or Role.ENGINE_SPEED in seen:
         return [speed, Role.ENGINE_TORQUE, Role.ENGINE_SPEED]
     return [speed, Role.ENGINE_POWER]
+
+
+def _speed(roles: Collection[Role]) -> Role:
+    """The speed that is used of some ``roles``, or would be."""
+    return Role.WHEEL_SPEEDS if Role.WHEEL_SPEEDS in roles and Role.SPEED not in roles else Role.SPEED
 
 
 def _bound(role: Role, seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:

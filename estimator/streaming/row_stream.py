@@ -25,7 +25,7 @@ from estimator.samples import Rows
 from estimator.signals import REFERENCES, Floats, Role
 from estimator.streaming.alignment import MAX_LINE, SPEEDS, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
-from estimator.streaming.missing_inputs import advice, needed, too_seldom
+from estimator.streaming.missing_inputs import advice, listed, needed, too_seldom
 from estimator.streaming.references import References
 from estimator.streaming.remarks import constant_friction, dropped_values
 from estimator.streaming.resampling import block_bounds
@@ -224,15 +224,16 @@ class RowStream:
         if not self.rows.valid and (reason := self._too_seldom()):
             raise MissingInputsError(f"{source}: {reason}")
         if missing := self._missing_roles():
+            lacking = listed(missing, self._names, self._config)
             if names := self._decoder.sent_by_others:
                 raise MissingInputsError(
-                    f"{source}: missing inputs: {', '.join(self.missing)}; the group of {', '.join(names)} is sent "
+                    f"{source}: missing inputs: {lacking}; the group of {', '.join(names)} is sent "
                     "with another priority or address than in the DBC, which does not say that it is of J1939 "
                     '(VFrameFormat): write [bus] match = "pgn" into the configuration'
                 )
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             remedy = advice(missing, self.seen, self._messages, self._answers, self._config)
-            raise MissingInputsError(f"{source}: missing inputs: {', '.join(self.missing)}; {remedy}; found: {there}")
+            raise MissingInputsError(f"{source}: missing inputs: {lacking}; {remedy}; found: {there}")
         if not self.rows.valid:
             counts = (self.errors + self.rows.unusable).most_common(4)
             reasons = ", ".join(f"{reason} {count}" for reason, count in counts) or "time stands still"

@@ -164,7 +164,11 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
         (steady(), [*MAP, "--map", "speed=w [m/s]"], '--map speed: is given twice, "v [km/h]" and "w [m/s]"; leave'),
         (steady(), [*MAP, "--map", "time = t [ms]"], '--map time: is given twice, "t [s]" and "t [ms]"; leave out one'),
         (steady(), ["--map", " speed = v "], 'speed = "v" has no unit; write it in brackets'),
-        (steady(), ["--map", "power=P [kW]"], "missing inputs: "),
+        (
+            steady(),
+            ["--map", "power=P [kW]"],
+            "missing inputs: speed; give them columns with numbers, as in --map speed=",
+        ),
         (steady(v=[1e308] * 200), MAP, "missing inputs: speed.v; give them columns with numbers, as in --map speed="),
         (steady(v=["inf"] * 200, P=["nan"] * 200), MAP, "no row with a number in it (nothing at all)"),
         (steady(), [*MAP[:4], "--map", "time=t [fortnights]"], "the unit 'fortnights' of the times is not known"),

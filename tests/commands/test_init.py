@@ -174,14 +174,24 @@ def test_the_same_goes_to_standard_output(tmp_path: Path, cli: Cli) -> None:
     assert (status, out, err) == (0, output.read_text(), "")
 
 
-def test_check_says_that_power_is_missing(tmp_path: Path, cli: Cli) -> None:
+@pytest.mark.parametrize(
+    ("signals", "missing"),
+    [
+        ('speed = "ENGINE_DATA.VehicleSpeed"', "torque_fraction, engine_speed, reference_torque"),
+        (
+            'engine_torque = "ENGINE_DATA.EngineTorqueEstimate"\nengine_speed = "ENGINE_DATA.EngineRPM"',
+            "speed or wheel_speeds",
+        ),
+    ],
+)
+def test_check_says_what_is_missing(signals: str, missing: str, tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / "weak.toml"
     database = tmp_path / "car.dbc"
     database.write_text(CAR)
-    path.write_text(f'[bus]\ndbc = ["{database}"]\n[signals]\nspeed = "ENGINE_DATA.VehicleSpeed"\n')
+    path.write_text(f'[bus]\ndbc = ["{database}"]\n[signals]\n{signals}\n')
     status, out, _ = cli("check", "--config", path)
     assert status == 1
-    reason = "no signal for torque_fraction, engine_speed, reference_torque"
+    reason = f"no signal for {missing}; start the configuration (--config FILE.toml) with signals = {{speed = "
     assert f"the model cannot be fed: {reason}" in " ".join(out.split())
     status, out, _ = cli("check", "--config", path, "--json")
     assert status == 1
