@@ -3,6 +3,7 @@
 import errno
 import os
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -227,6 +228,23 @@ def test_files_whose_clock_counts_from_zero_are_not_joined() -> None:
     assert sources(grouped.drives) == [("1",), ("2",)]
     assert grouped.overlapping("t") == 0
     assert "the clock was not set" in grouped.notes["1"]
+
+
+@pytest.mark.parametrize(
+    ("start", "is_set"),
+    [
+        (datetime(1980, 1, 6), False),
+        (datetime(2000, 1, 1), False),
+        (datetime(2010, 1, 1, 8), False),
+        (datetime(2011, 6, 1), True),
+        (datetime(2015, 6, 1), True),
+    ],
+)
+def test_drives_of_years_ago_are_joined_and_clocks_that_start_anew_are_not(start: datetime, is_set: bool) -> None:
+    t = start.replace(tzinfo=UTC).timestamp()
+    grouped = group([surveyed("t", "1", t, t + 60), surveyed("t", "2", t + 60, t + 120)])
+    assert sources(grouped.drives) == ([("1", "2")] if is_set else [("1",), ("2",)])
+    assert ("the clock was not set" in " ".join(grouped.notes.values())) != is_set
 
 
 def test_a_log_that_appears_twice_is_used_once() -> None:
