@@ -24,6 +24,7 @@ from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import reader_of
 from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.assembly import settle
+from estimator.model.effects import named
 from estimator.report.binding import of_binding
 from estimator.streaming import inspection
 from estimator.streaming.missing_inputs import unbound
@@ -47,6 +48,7 @@ def run(options: argparse.Namespace) -> int:
     """Inspect the log or the bus, or the configuration alone; exit status 0 if an estimate can come of it."""
     settings = settle(options.config, options.dbc, options)
     messages = bound_messages(settings)
+    named(settings.effects)
     if options.print_config:
         print_config(settings)
         return 0

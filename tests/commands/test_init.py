@@ -293,6 +293,18 @@ def test_check_without_a_log_finds_what_is_mistyped(tmp_path: Path, cli: Cli, li
         assert err.count("\n") == 1
 
 
+def test_check_without_a_log_refuses_what_an_estimate_refuses(tmp_path: Path, cli: Cli) -> None:
+    car(tmp_path)
+    file = tmp_path / "car.toml"
+    assert cli("init", tmp_path / "car.dbc", "-o", file)[0] == 0
+    file.write_text('effects = ["grde"]\n' + file.read_text())
+    checked = cli("check", "--config", file)
+    assert checked == cli("estimate", EXAMPLE / "van.blf", "--config", file)
+    status, out, err = checked
+    assert (status, out) == (2, "")
+    assert err.startswith("error: effects: 'grde' is not known; there are grade, headwind")
+
+
 def test_a_mistyped_command_names_the_nearest(cli: Cli) -> None:
     status, _, err = cli("estimat", "a.log")
     assert status == 2

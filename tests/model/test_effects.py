@@ -282,8 +282,12 @@ def test_what_switches_streams_with_a_signal_only():
 
 def test_a_configuration_asks_by_name():
     assert [effect.name for effect in named(["headwind", "grade", "headwind"])] == ["headwind", "grade"]
-    with pytest.raises(ConfigError, match=r"'gravity' is not known; there are grade, headwind, .*, cabin_heater$"):
+    with pytest.raises(
+        ConfigError, match=r"'gravity' is not known; there are grade, headwind, .*, cabin_heater$"
+    ) as refused:
         named(["gravity"])
+    offered = str(refused.value).partition("there are ")[2].split(", ")
+    assert [effect.name for effect in named(offered)] == offered
     with pytest.raises(ConfigError, match=r"'drafting' cannot be part of the model.*those that can: grade, headwind"):
         named(["grade", "drafting"])
 

@@ -47,10 +47,10 @@ def named(names: Sequence[str]) -> tuple[Effect, ...]:
     ConfigError
         A name is unknown, or only a diagnosis can find the times of the effect.
     """
+    able = ", ".join(effect.name for effect in CATALOGUE if effect.is_streaming)
     for name in names:
         if name not in BY_NAME:
-            raise ConfigError(f"effects: {name!r} is not known; there are {', '.join(BY_NAME)}")
+            raise ConfigError(f"effects: {name!r} is not known; there are {able}")
         if not BY_NAME[name].is_streaming:
-            able = ", ".join(effect.name for effect in CATALOGUE if effect.is_streaming)
             raise ConfigError(f"effects: {name!r} cannot be part of the model, only diagnosed; those that can: {able}")
     return tuple(BY_NAME[name] for name in dict.fromkeys(names))
