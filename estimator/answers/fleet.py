@@ -4,7 +4,10 @@ from estimator.answers.answer import Answer
 
 
 class FleetAnswer(Answer, frozen=True, kw_only=True):
-    """Counts of drives, of rows by status and of vehicles; parameters out of line by vehicle; the files written."""
+    """Counts of drives, of rows by status and of vehicles; parameters out of line by vehicle; the files written.
+
+    ``left_out`` counts files that are logs with other settings only: tables without ``--map``, or frames with it.
+    """
 
     drives: int
     rows: dict[str, int]
@@ -12,3 +15,4 @@ class FleetAnswer(Answer, frozen=True, kw_only=True):
     vehicles_estimated: int
     outliers: dict[str, str]
     files: tuple[str, ...]
+    left_out: int = 0

@@ -1,6 +1,7 @@
 """The subcommand `fleet`: many logs to one table of drives and one of vehicles."""
 
 import argparse
+import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import UNUSED, doubts, require_arrow
 from estimator.report.number_format import counted
 from estimator.report.parameter_text import COEFFICIENTS
-from estimator.streaming.log_frames import suffixes_of
+from estimator.streaming.log_frames import Kind, kind_of
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
@@ -67,9 +68,11 @@ def run(options: argparse.Namespace) -> int:
     config = settings(options)
     require_arrow()
     are_named = options.vehicle == BY_ENGINE
-    logs = find_logs(options.source, None if are_named else options.vehicle, suffixes_of(config))
+    files = find_logs(options.source, None if are_named else options.vehicle, kind_of(config))
+    logs, left_out = files.logs, _inputs(files.left_out, options.output)
     check(config)
     complain_of_databases(config)
+    _complain_of_others(left_out, kind_of(config))
     if not are_named:
         check_names(log.vehicle for log in logs)
     prepare(options.output)
@@ -95,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     if earlier := left_over(options.output, written):
         complain(f"note: {_listed(earlier)}: of an earlier run, not of this one; delete what is not needed")
     if options.json:
-        print_json(_summary(found, drives, vehicles, written))
+        print_json(_summary(found, drives, vehicles, written, len(left_out)))
     else:
         _print(drives, vehicles, options.output)
     return 0
@@ -122,12 +125,27 @@ def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
         complain(f"note: {doubt}")
 
 
-def _listed(paths: Sequence[Path]) -> str:
+def _inputs(files: Sequence[str], out: Path) -> list[str]:
+    """The files but those of an earlier run in ``out``, which may be a folder of the source."""
+    return [file for file in files if not Path(os.path.realpath(file)).is_relative_to(os.path.realpath(out))]
+
+
+def _complain_of_others(left_out: Sequence[str], kind: Kind) -> None:
+    """One line for all files that are logs with other settings only."""
+    if left_out:
+        those = f"{counted(len(left_out), 'file')}: {_listed(left_out)}"
+        remedy = f"read them {kind.remedy}, in a run of their own"
+        complain(f"note: {kind.others_are} left out, {those}; {remedy}")
+
+
+def _listed(paths: Sequence[Path | str]) -> str:
     more = f" and {len(paths) - MAX_LISTED} more" if len(paths) > MAX_LISTED else ""
     return ", ".join(map(str, paths[:MAX_LISTED])) + more
 
 
-def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], written: Sequence[Path]) -> FleetAnswer:
+def _summary(
+    found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], written: Sequence[Path], left_out: int
+) -> FleetAnswer:
     return FleetAnswer(
         drives=len(found.grouped.drives),
         rows=dict(Counter(row["status"] for row in drives)),
@@ -135,6 +153,7 @@ def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], writt
         vehicles_estimated=sum(row["status"] == "estimated" for row in vehicles),
         outliers={row["vehicle"]: row["outlier"] for row in vehicles if row["outlier"]},
         files=tuple(map(str, written)),
+        left_out=left_out,
     )
 
 

@@ -11,7 +11,7 @@ from estimator.fleet.rows import drive_rows
 from estimator.fleet.run import check, run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import DRIVES
-from estimator.streaming.log_frames import suffixes_of
+from estimator.streaming.log_frames import kind_of
 
 
 def estimate_drives(sources: Sequence[str | Path], config: Config, vehicle: str | None = None) -> dict[str, Any]:
@@ -26,6 +26,6 @@ def estimate_drives(sources: Sequence[str | Path], config: Config, vehicle: str 
         A source is missing or has no log, or the configuration is invalid. An unreadable log is a row of the table.
     """
     check(config)
-    logs = find_logs([str(source) for source in sources], vehicle, suffixes_of(config))
+    logs = find_logs([str(source) for source in sources], vehicle, kind_of(config)).logs
     fleet = run_fleet(logs, config, Serial())
     return columns(DRIVES, drive_rows(fleet))

@@ -7,17 +7,17 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from glob import glob
 from pathlib import Path, PurePath, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from estimator.can_io.logs import FORMATS
 from estimator.can_io.logs.lake import ANY, day_of, files_of, is_day
 from estimator.errors import ConfigError, InputError, LogError, RoadloadError
 from estimator.extras import how_to_install
 from estimator.input_files import MIB, read_bounded
+from estimator.streaming.log_frames import FRAMES, Kind
 
 LIST = ".txt"  # suffix of a list of logs: a log a line, and its vehicle after a tab
 MAX_LIST_BYTES = 64 * MIB  # bytes of a list; a million names need less
@@ -32,10 +32,23 @@ class LogFile:
     vehicle: str
 
 
-def find_logs(
-    sources: Sequence[str], pattern: str | None = None, suffixes: tuple[str, ...] = tuple(FORMATS)
-) -> list[LogFile]:
-    """Find the files that end in ``suffixes``, each once, in the order of vehicles and names.
+@dataclass(frozen=True)
+class LeftOut:
+    """File, by path or URL, that is a log with other settings only."""
+
+    source: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """Logs in the order of vehicles and names, and the files that are logs with other settings only."""
+
+    logs: list[LogFile]
+    left_out: list[str]
+
+
+def find_logs(sources: Sequence[str], pattern: str | None = None, kind: Kind = FRAMES) -> Found:
+    """Find the files of a ``kind``, each once.
 
     The vehicle is the first group of ``pattern`` in the path of the log. Without a pattern it is the first folder below
     the source, or the folder of the log if there is none.
@@ -49,18 +62,22 @@ def find_logs(
     """
     expression = None if pattern is None else _compiled(pattern)
     vehicle_of: dict[str, str] = {}
+    left_out: set[str] = set()
     for source in sources:
         try:
-            logs = list(_logs_of(source, suffixes))
+            files = list(_found_in(source, kind))
         except PermissionError as error:
             raise InputError(f"{error.filename}: cannot be read ({error.strerror}); check its permissions") from error
+        logs = [file for file in files if isinstance(file, LogFile)]
+        if not logs and files:
+            raise InputError(f"{source}: no logs there but {kind.others_are}; read them {kind.remedy}")
         if not logs:
-            raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(suffixes)}")
+            raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(kind.suffixes)}")
         for log in logs:
             vehicle_of.setdefault(log.source, _named(log, expression))
-    return sorted(
-        (LogFile(log, vehicle) for log, vehicle in vehicle_of.items()), key=lambda log: (log.vehicle, log.source)
-    )
+        left_out.update(file.source for file in files if isinstance(file, LeftOut))
+    found = [LogFile(log, vehicle) for log, vehicle in vehicle_of.items()]
+    return Found(sorted(found, key=lambda log: (log.vehicle, log.source)), sorted(left_out - vehicle_of.keys()))
 
 
 def _compiled(pattern: str) -> re.Pattern[str]:
@@ -82,17 +99,17 @@ def _named(log: LogFile, expression: re.Pattern[str] | None) -> str:
     return match[1]
 
 
-def _logs_of(source: str, suffixes: tuple[str, ...]) -> Iterator[LogFile]:
+def _found_in(source: str, kind: Kind) -> Iterator[LogFile | LeftOut]:
     if "://" in source:
-        yield from _remote(source, suffixes)
+        yield from _remote(source, kind)
     elif Path(source).suffix == LIST and Path(source).is_file():
         yield from _listed(Path(source))
     elif Path(source).is_dir():
         for path in _files_below(Path(source), set()):
             if path.is_dir():
                 yield LogFile(str(path), _vehicle(source, str(path / ANY)))
-            elif (log := _log_of(str(path), source, suffixes)) is not None and path.is_file():
-                yield log
+            elif (file := _file(str(path), source, kind)) is not None and path.is_file():
+                yield file
     elif is_day(Path(source)) and files_of(Path(source)):
         yield LogFile(source, _device(source))
     elif Path(source).is_file():
@@ -100,9 +117,9 @@ def _logs_of(source: str, suffixes: tuple[str, ...]) -> Iterator[LogFile]:
     elif WILD.search(source):
         for name in glob(source, recursive=True):
             if Path(name).is_dir():
-                yield from _logs_of(name, suffixes)
-            elif (log := _log_of(name, name, suffixes)) is not None:
-                yield log
+                yield from _found_in(name, kind)
+            elif (file := _file(name, name, kind)) is not None:
+                yield file
     else:
         raise InputError(f"{source}: no such file or folder; check the path")
 
@@ -145,7 +162,7 @@ def _listed(path: Path) -> Iterator[LogFile]:
         yield LogFile(log, vehicle.strip() or _vehicle(log, log))
 
 
-def _remote(source: str, suffixes: tuple[str, ...]) -> Iterator[LogFile]:
+def _remote(source: str, kind: Kind) -> Iterator[LogFile | LeftOut]:
     files, root = file_system(source)
     try:
         if WILD.search(root):
@@ -156,18 +173,19 @@ def _remote(source: str, suffixes: tuple[str, ...]) -> Iterator[LogFile]:
     except Exception as error:  # of any storage library
         raise InputError(f"{source}: cannot be listed ({_line(error)}); check the name and the credentials") from error
     for name in names:
-        if (log := _log_of(name, root, suffixes)) is not None:
-            yield LogFile(files.unstrip_protocol(log.source), log.vehicle)
+        if (file := _file(name, root, kind)) is not None:
+            yield replace(file, source=files.unstrip_protocol(file.source))
 
 
-def _log_of(name: str, root: str, suffixes: tuple[str, ...]) -> LogFile | None:
-    """Log that a file is, or belongs to; None if it is no log. ``root`` is the source in which it was found."""
+def _file(name: str, root: str, kind: Kind) -> LogFile | LeftOut | None:
+    """Log that a file is, or belongs to; None if it is none. ``root`` is the source in which it was found."""
     if PurePath(name).name.startswith("."):
         return None
-    if name.lower().endswith(suffixes):
+    if name.lower().endswith(kind.suffixes):
         return LogFile(name, _vehicle(root, name))
-    day = day_of(Path(name).as_posix())
-    return None if day is None else LogFile(day, _device(day))
+    if (day := day_of(Path(name).as_posix())) is not None:
+        return LogFile(day, _device(day))
+    return LeftOut(name) if name.lower().endswith(kind.others) else None
 
 
 def _device(day: str) -> str:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from estimator.can_io.bound_traffic import bound_messages
@@ -24,9 +25,36 @@ def as_paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 
-def suffixes_of(config: Config) -> tuple[str, ...]:
-    """Suffixes of the files that are logs with a configuration: those of tables if it has a table."""
-    return tuple(FORMATS) if config.table is None else SUFFIXES
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """Suffixes of the files that are logs with a configuration, and of ``others`` that are logs with another one only.
+
+    ``others_are`` and ``remedy`` say what the others are, and how they are read.
+    """
+
+    suffixes: tuple[str, ...]
+    others: tuple[str, ...]
+    others_are: str
+    remedy: str
+
+
+FRAMES = Kind(
+    suffixes=tuple(FORMATS),
+    others=tuple(suffix for suffix in SUFFIXES if suffix not in (*FORMATS, ".txt")),  # which may be any text
+    others_are="tables",
+    remedy="with --map or [table]",
+)
+TABLES = Kind(
+    suffixes=SUFFIXES,
+    others=tuple(suffix for suffix in FORMATS if suffix not in SUFFIXES),
+    others_are="logs of frames",
+    remedy="without --map and [table]",
+)
+
+
+def kind_of(config: Config) -> Kind:
+    """Kind of the files that are logs with a configuration: tables if it has a table."""
+    return FRAMES if config.table is None else TABLES
 
 
 class LogFrames:

@@ -218,13 +218,13 @@ def test_a_fleet_reads_the_channel_that_is_chosen(both: Path, tmp_path: Path) ->
     path = tmp_path / "truck" / "both.blf"
     path.parent.mkdir()
     path.symlink_to(both / "both.blf")
-    logs = find_logs([str(path.parent)])
+    logs = find_logs([str(path.parent)]).logs
     mixed = run_fleet(logs, Config(), Serial())
     (rejected,) = mixed.grouped.rejected
     assert rejected.status == "unreadable"
     assert "choose with --channel" in rejected.reason
     chosen = run_fleet(logs, from_dict({"bus": {"channels": [2]}}), Serial())
-    (alone,) = run_fleet(find_logs([str(both / "2.blf")]), Config(), Serial()).results
+    (alone,) = run_fleet(find_logs([str(both / "2.blf")]).logs, Config(), Serial()).results
     assert chosen.results == (alone,)
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -285,6 +286,26 @@ def test_tables_of_one_vehicle_are_a_fleet(log: Path, tmp_path: Path) -> None:
     assert (answer["drives"], answer["rows"], answer["vehicles_estimated"]) == (2, {"estimated": 2}, 1)
     drives = pq.read_table(tmp_path / "out" / "drives.parquet").to_pydict()
     assert drives["mass_kg_mean"] == pytest.approx([TRUCK.mass] * 2, rel=0.02)
+
+
+@pytest.mark.usefixtures("without_workers")
+def test_a_fleet_of_tables_counts_the_logs_of_frames_beside_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And not what an earlier run has left in its folder."""
+    pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
+    written_table(steady(), tmp_path / "van" / "a.csv")
+    for other in ("truck/drive.blf", "truck/drive.asc", "van/notes.md", "out/earlier.log"):
+        (tmp_path / other).parent.mkdir(exist_ok=True)
+        (tmp_path / other).write_text("anything")
+    assert main(["fleet", str(tmp_path), "-o", str(tmp_path / "out"), *MAP, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["left_out"] == 2
+    (said,) = [line for line in err.splitlines() if "left out" in line]
+    assert said == (
+        f"note: logs of frames left out, 2 files: {tmp_path}/truck/drive.asc, {tmp_path}/truck/drive.blf; "
+        "read them without --map and [table], in a run of their own"
+    )
 
 
 @pytest.mark.usefixtures("without_workers")

@@ -123,12 +123,12 @@ def test_a_rerun_computes_what_is_new(fleet: Path, tmp_path: Path, table: dict[s
     shutil.copytree(fleet, tmp_path / "in")
     cache = Cache.of(tmp_path / "cache", Config(), with_diagnosis=False)
     engine = Counted()
-    first = run_fleet(find_logs([str(tmp_path / "in/truck-1")]), Config(), engine, cache=cache)
+    first = run_fleet(find_logs([str(tmp_path / "in/truck-1")]).logs, Config(), engine, cache=cache)
     sizes = [path.stat().st_size for path in (tmp_path / "cache").iterdir()]
     assert len(sizes) == 1
     assert max(sizes) < 20_000
     (tmp_path / "in/truck-1").rename(tmp_path / "in/other name")
-    again = run_fleet(find_logs([str(tmp_path / "in")]), Config(), engine, cache=cache)
+    again = run_fleet(find_logs([str(tmp_path / "in")]).logs, Config(), engine, cache=cache)
     assert [Path(source).name for source in engine.estimated] == ["a.blf", "idle.blf", "a.blf"]
     assert again.results[0] == first.results[0]
     assert again.results[0].segments[0].parameters["m"].posterior.mean == row(table, "truck-1/a.blf")["mass_kg_mean"]
@@ -159,7 +159,7 @@ def test_effects_that_a_diagnosis_names_are_a_table(
     )
     diagnosis = Diagnosis(verdict=Verdict.EFFECT, effects=(found,))
     monkeypatch.setattr("estimator.streaming.drive_extraction.diagnose_drive", lambda paths, config: diagnosis)
-    logs = find_logs([str(fleet / "truck-2/a.blf")])
+    logs = find_logs([str(fleet / "truck-2/a.blf")]).logs
     output.prepare(tmp_path)
     result = run_fleet(logs, Config(), Serial(), with_diagnosis=True)
     output.write_fleet(result, Config(), tmp_path, 0.05, with_diagnosis=True)
@@ -183,7 +183,7 @@ def test_an_error_in_a_task_is_the_reason_of_its_drive(monkeypatch: pytest.Monke
         raise ZeroDivisionError("by zero")
 
     monkeypatch.setattr("estimator.fleet.run.estimate_drive", broken)
-    found = run_fleet(find_logs([str(fleet / "truck-1")]), Config(), Serial())
+    found = run_fleet(find_logs([str(fleet / "truck-1")]).logs, Config(), Serial())
     assert [(r["status"], r["reason"]) for r in drive_rows(found)] == [("failed", "ZeroDivisionError: by zero")]
     assert found.vehicles[0].status == "unestimated"
 
@@ -209,7 +209,7 @@ def test_a_drive_with_a_contested_input_is_withheld_as_by_estimate(
     fleet: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(RowStream, "contested", {"EEC1.EngSpeed": "two senders"})
-    found = run_fleet(find_logs([str(fleet / "truck-2/a.blf")]), Config(), Serial())
+    found = run_fleet(find_logs([str(fleet / "truck-2/a.blf")]).logs, Config(), Serial())
     (row,) = drive_rows(found)
     assert row["status"] == "unestimated"
     assert "contested" in row["reason"]
@@ -372,7 +372,7 @@ def test_a_full_disk_leaves_the_tables_of_before(fleet: Path, monkeypatch: pytes
     out = tmp_path / "out"
     output.prepare(out)
     (out / "drives.parquet").write_text("before")
-    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]), Config(), Serial())
+    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]).logs, Config(), Serial())
 
     @contextmanager
     def full(path: Path) -> Iterator[Any]:
@@ -393,7 +393,7 @@ def test_a_full_disk_leaves_the_tables_of_before(fleet: Path, monkeypatch: pytes
 
 def test_files_of_an_earlier_run_are_named(fleet: Path, tmp_path: Path) -> None:
     output.prepare(tmp_path)
-    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]), Config(), Serial())
+    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]).logs, Config(), Serial())
     output.write_fleet(found, Config(), tmp_path, 0.05, with_diagnosis=True, with_page=True)
     (tmp_path / "priors/sold.toml").write_text("")
     written = output.write_fleet(found, Config(), tmp_path, 0.05)
@@ -404,7 +404,7 @@ def test_files_of_an_earlier_run_are_named(fleet: Path, tmp_path: Path) -> None:
 def test_a_folder_in_the_place_of_a_table_leaves_all_files_as_they_were(fleet: Path, tmp_path: Path) -> None:
     output.prepare(tmp_path)
     (tmp_path / "vehicles.parquet").mkdir()
-    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]), Config(), Serial())
+    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]).logs, Config(), Serial())
     with pytest.raises(RoadloadError, match=r"vehicles\.parquet: is a folder; move it away"):
         output.write_fleet(found, Config(), tmp_path, 0.05, with_page=True)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

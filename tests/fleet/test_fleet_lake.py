@@ -257,13 +257,13 @@ def test_days_are_found_in_folders_lists_and_buckets(tmp_path: Path) -> None:
     listed = tmp_path / "fleet.txt"
     listed.write_text("lake/dev/*/2024/01/15/*.parquet\tred\n")
     for source, vehicle in ((tmp_path / "lake", "dev"), (tmp_path / "lake/dev", "dev"), (name, "dev"), (listed, "red")):
-        (log,) = find_logs([str(source)])
+        (log,) = find_logs([str(source)]).logs
         assert (log.source, log.vehicle) == (name, vehicle)
     fsspec = pytest.importorskip("fsspec")
     files = fsspec.filesystem("memory")
     files.pipe_file("/lake/dev/CAN1_Motion/2024/01/15/1.parquet", path.read_bytes())
     try:
-        (log,) = find_logs(["memory://lake"])
+        (log,) = find_logs(["memory://lake"]).logs
         assert (log.source, log.vehicle) == ("memory:///lake/dev/*/2024/01/15/*.parquet", "dev")
         with local_copy(log.source) as copy:
             assert len(Frames.concatenate(list(LogFrames([copy], OWN_LAKE)))) == 50

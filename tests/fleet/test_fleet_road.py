@@ -82,7 +82,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
 def road(logs: tuple[Path, Truth], tmp_path_factory: pytest.TempPathFactory) -> Learned:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     folder, truth = logs
-    found = run_fleet(find_logs([str(folder)]), Config(), Serial())
+    found = run_fleet(find_logs([str(folder)]).logs, Config(), Serial())
     out = tmp_path_factory.mktemp("fleet")
     prepare(out)
     write_fleet(found, Config(), out, 0.05)
@@ -335,7 +335,7 @@ def test_the_grade_of_the_map_does_not_depend_on_the_batches(road: Learned, next
 def test_with_a_map_nothing_is_learned(road: Learned, logs: tuple[Path, Truth], tmp_path: Path) -> None:
     """What was found with the map holds what the map knew."""
     config = with_map(road.out / "road.npy")
-    found = run_fleet(find_logs([str(logs[0] / "truck-2")]), config, Serial())
+    found = run_fleet(find_logs([str(logs[0] / "truck-2")]).logs, config, Serial())
     assert found.results[0].segments[-1].parameters["A"].posterior is not None
     assert not len(found.road.key)
     prepare(tmp_path / "out")
@@ -347,7 +347,7 @@ def test_a_bus_without_position_teaches_no_road(tmp_path: Path) -> None:
     sensors = Sensors(without=LEVELS | {Role.LATITUDE, Role.LONGITUDE})
     driven = record(NEXT, ROAD, 240.0, np.random.default_rng(0), sensors=sensors)
     write_log(frames_of(driven.signals), tmp_path / "a.blf")
-    found = run_fleet(find_logs([str(tmp_path)]), Config(), Serial())
+    found = run_fleet(find_logs([str(tmp_path)]).logs, Config(), Serial())
     assert not len(found.road.key)
 
 

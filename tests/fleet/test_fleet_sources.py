@@ -14,6 +14,7 @@ from estimator.errors import ConfigError, InputError, LogError
 from estimator.fleet.grouping import YEAR, Drive, by_engine, group
 from estimator.fleet.sources import LogFile, find_logs, local_copy
 from estimator.fleet.survey import Survey, survey
+from estimator.streaming.log_frames import FRAMES, TABLES, Kind
 
 T0 = 1_700_000_000.0
 
@@ -25,7 +26,7 @@ def candump(path: Path, start: float = T0, seconds: int = 3) -> Path:
 
 
 def found(*sources: object, pattern: str | None = None) -> dict[str, str]:
-    return {Path(log.source).name: log.vehicle for log in find_logs([str(s) for s in sources], pattern)}
+    return {Path(log.source).name: log.vehicle for log in find_logs([str(s) for s in sources], pattern).logs}
 
 
 def test_a_vehicle_is_the_first_folder_below_the_source(tmp_path: Path) -> None:
@@ -45,7 +46,7 @@ def test_device_session_and_split_files_of_a_logger_are_drives_of_the_device(tmp
             for split in range(3):
                 start = T0 + 86_400.0 * session + 61.0 * split + later
                 candump(tmp_path / f"LOG/{device}/{session + 1:08}/{split + 1:08}.log", start, 60)
-    logs = find_logs([str(tmp_path / "LOG")])
+    logs = find_logs([str(tmp_path / "LOG")]).logs
     drives = group([survey(log, Config()) for log in logs]).drives
     assert [(drive.vehicle, len(drive.sources)) for drive in drives] == [
         ("2F6913DB", 3), ("2F6913DB", 3), ("AABBCCDD", 3), ("AABBCCDD", 3)
@@ -60,7 +61,7 @@ def test_a_vehicle_is_the_engine_that_claims_its_address(tmp_path: Path) -> None
         if engine:
             other = f"({T0 + start:.6f}) can0 18EEFF0B#FFFFFFFFFFFFFFFF\n"  # of the brakes
             path.write_text(f"{other}({T0 + start:.6f}) can0 18EEFF00#{engine}\n" + path.read_text())
-    surveys = [survey(log, Config()) for log in find_logs([str(tmp_path / "mixed")])]
+    surveys = [survey(log, Config()) for log in find_logs([str(tmp_path / "mixed")]).logs]
     assert [one.engine for one in surveys] == ["0807060504030201", "", "0807060504030211", ""]
     drives = group(by_engine(surveys)).drives
     assert [(drive.vehicle, [Path(source).name for source in drive.sources]) for drive in drives] == [
@@ -129,7 +130,7 @@ def test_a_folder_that_must_not_be_read_is_an_unreadable_log(tmp_path: Path, mon
     candump(tmp_path / "truck-2/b.log")
     locked = tmp_path / "truck-2"
     refuse_to_list(monkeypatch, locked)
-    logs = find_logs([str(tmp_path)])
+    logs = find_logs([str(tmp_path)]).logs
     assert [(log.source, log.vehicle) for log in logs] == [
         (f"{tmp_path}/truck-1/a.log", "truck-1"),
         (str(locked), "truck-2"),
@@ -159,14 +160,45 @@ def test_links_to_folders_are_followed_and_circles_end(tmp_path: Path) -> None:
     (tmp_path / "fleet").mkdir()
     (tmp_path / "fleet/truck-1").symlink_to(tmp_path / "disk")
     (tmp_path / "disk/all").symlink_to(tmp_path / "fleet")
-    assert [(log.source, log.vehicle) for log in find_logs([str(tmp_path / "fleet")])] == [
+    assert [(log.source, log.vehicle) for log in find_logs([str(tmp_path / "fleet")]).logs] == [
         (f"{tmp_path}/fleet/truck-1/2024/a.log", "truck-1")
     ]
 
 
+@pytest.mark.parametrize(
+    ("kind", "logs", "left_out", "remedy"),
+    [
+        (FRAMES, ["a.log", "b.csv"], ["c.parquet", "d.FIT"], "no logs there but tables; read them with --map"),
+        (
+            TABLES,
+            ["b.csv", "c.parquet", "d.FIT"],
+            ["a.log"],
+            "no logs there but logs of frames; read them without --map",
+        ),
+    ],
+    ids=["frames", "tables"],
+)
+def test_files_of_the_other_kind_are_left_out_by_name(
+    tmp_path: Path, kind: Kind, logs: list[str], left_out: list[str], remedy: str
+) -> None:
+    folder = tmp_path / "van"
+    folder.mkdir()
+    for name in ("a.log", "b.csv", "c.parquet", "d.FIT", ".e.parquet", "notes.md", "photo.jpg"):
+        (folder / name).write_text("anything")
+    for source in (str(tmp_path), f"{folder}/*"):
+        found = find_logs([source], kind=kind)
+        assert [Path(log.source).name for log in found.logs] == logs
+        assert [Path(name).name for name in found.left_out] == left_out
+    others = [str(folder / name) for name in left_out]
+    named = find_logs([str(tmp_path), *others], kind=kind)  # are logs with a fault, as any file that is named
+    assert (len(named.logs), named.left_out) == (4, [])
+    with pytest.raises(InputError, match=remedy):
+        find_logs([f"{folder}/*{Path(left_out[0]).suffix}"], kind=kind)
+
+
 def test_a_log_that_two_sources_name_counts_once(tmp_path: Path) -> None:
     candump(tmp_path / "t/a.log")
-    assert len(find_logs([str(tmp_path), str(tmp_path), f"{tmp_path}/t/*.log"])) == 1
+    assert len(find_logs([str(tmp_path), str(tmp_path), f"{tmp_path}/t/*.log"]).logs) == 1
 
 
 def test_logs_of_a_url(tmp_path: Path) -> None:
@@ -176,12 +208,12 @@ def test_logs_of_a_url(tmp_path: Path) -> None:
     for name in ("/lake/truck-1/a.log", "/lake/truck-2/b.log", "/lake/truck-2/readme.md"):
         files.pipe_file(name, text)
     try:
-        logs = find_logs(["memory://lake"])
+        logs = find_logs(["memory://lake"]).logs
         assert [(log.source, log.vehicle) for log in logs] == [
             ("memory:///lake/truck-1/a.log", "truck-1"),
             ("memory:///lake/truck-2/b.log", "truck-2"),
         ]
-        assert find_logs(["memory://lake/*/a.log"]) == logs[:1]
+        assert find_logs(["memory://lake/*/a.log"]).logs == logs[:1]
         one = survey(logs[0], Config())
         assert (one.start, one.end, one.fault) == (T0, T0 + 3, "")
         with local_copy(logs[1].source) as path:
