@@ -1,5 +1,6 @@
 """The uses of CAN signals in the estimate, their SI units, and the quantities that are derived from them."""
 
+from collections.abc import Set
 from enum import StrEnum
 
 
@@ -46,6 +47,12 @@ class Role(StrEnum):
 # Estimates of other control units: shown beside the estimate, which does not depend on them.
 REFERENCES = frozenset({Role.MASS_REFERENCE, Role.GRADE_REFERENCE})
 GRADES = frozenset({Role.GRADE, Role.GRADE_REFERENCE})  # rise over run; an angle does as well
+BATTERY = frozenset({Role.BATTERY_VOLTAGE, Role.BATTERY_CURRENT})
+
+
+def is_electric(bound: Set[str]) -> bool:
+    """True if power is that of the battery: its roles are ``bound``, and no engine power or torque is."""
+    return bound >= BATTERY and not bound & {Role.ENGINE_POWER, Role.ENGINE_TORQUE}
 
 
 class Quantity(StrEnum):

@@ -1,6 +1,7 @@
 """The subcommand `init`: a configuration proposed from databases, and from a log if there is one."""
 
 import argparse
+import tomllib
 from pathlib import Path
 from shlex import quote
 
@@ -9,9 +10,12 @@ from estimator.can_io.role_candidates import candidates
 from estimator.commands.arguments import add_debug
 from estimator.commands.complaints import complain
 from estimator.commands.terminal import progress_bar
+from estimator.config import Config, from_dict
 from estimator.errors import ConfigError
 from estimator.output_files import check_suffix, whole
-from estimator.report.proposal import proposal
+from estimator.report.proposal import battery, proposal
+from estimator.signals import Role
+from estimator.streaming.discharge_sign import Sign, discharge_sign
 from estimator.streaming.survey import survey
 
 DATABASE = ".dbc"
@@ -50,6 +54,9 @@ def run(options: argparse.Namespace) -> int:
             names = ", ".join(map(str, databases))
             raise ConfigError(f"{log}: nothing of {names} that is of use comes in it; is it of this vehicle?")
     text = proposal(databases, by_role, found, log)
+    config = from_dict(tomllib.loads(text))
+    if Role.BATTERY_CURRENT in config.signals:
+        text += battery(None if log is None else _sign(log, config))
     for remark in database.remarks:
         complain(f"note: {remark}")
     if output is None:
@@ -60,6 +67,11 @@ def run(options: argparse.Namespace) -> int:
     shown = f"roadload check {quote(str(log or 'LOG'))} --config {quote(str(output))}"
     complain(f"note: {output} is written; look at its signals, then run {shown}")
     return 0
+
+
+def _sign(log: Path, config: Config) -> Sign | None:
+    with progress_bar("current") as progress:
+        return discharge_sign(log, config, progress)
 
 
 def _inputs(files: list[Path]) -> tuple[list[Path], Path | None]:

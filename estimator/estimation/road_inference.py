@@ -44,6 +44,7 @@ from estimator.model.effects import obstacle
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.preparation.stage import moving_effects
+from estimator.roles import is_electric
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -181,7 +182,7 @@ class RoadInference:
             return withheld(reason)
         driven = strides[strides.known]
         if reason := wrong_sign_of(driven.power, driven.a):
-            return withheld(reason)
+            return withheld(reason + self._other_sign())
         if reason := wrong_unit_of(driven.power / driven.speed, driven.a, self._config.prior.mass_kg[0]):
             return withheld(reason, status=Status.INVALID)
         found = self._fit(strides, held)
@@ -270,10 +271,18 @@ class RoadInference:
     def _undetermined(self, found: RoadFit) -> str:
         """Reason why the drive does not determine the mass; empty where it does."""
         if not found.beta[0] > MIN_INVERSE_MASS:
-            return "speed does not change with force: the drive is too uniform, or a signal is wrong"
+            reason = "speed does not change with force: the drive is too uniform, or a signal is wrong"
+            return reason + self._other_sign()
         if not found.determines_mass and self._config.prior.mass_belief_kg is None:
             return f"sd of mass is {100 * found.mass_sd:.0f} % of its value" + _advice("m", found)
         return ""
+
+    def _other_sign(self) -> str:
+        """Advice beside a doubt about the sign of the power; empty unless a battery current gives it."""
+        if not is_electric(self._config.binding.keys()):
+            return ""
+        other = "negative" if self._config.vehicle.discharge_current == "positive" else "positive"
+        return f'; if the battery current has the other sign, write [vehicle] discharge_current = "{other}"'
 
     def _reasons(self, judged: Judged, found: RoadFit, lower: Floats, upper: Floats) -> dict[str, str]:
         """Reason for each of PARAMETERS that is not known well enough."""

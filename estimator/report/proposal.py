@@ -31,6 +31,11 @@ OF_POWER = {role for way in POWER_WAYS for role in way} | {
     Role.FRICTION_FRACTION,
     Role.PARASITIC_FRACTION,
 }
+DISCHARGE = {  # sign of the battery current while it drives
+    "positive": "by the log: above 0 where the vehicle speeds up",
+    "negative": "by the log: below 0 where the vehicle speeds up",
+    None: 'no log shows it: "negative" if the current is below 0 while the vehicle drives',
+}
 GOOD = 4.5  # score of a candidate that power may be had from
 SHOWN = 4  # candidates of a role
 ON_THE_BUS, ALIVE = 3.0, 2.0  # points
@@ -63,6 +68,11 @@ def proposal(
             lines += _role(role, ranked[role], bound.get(role, []), found)
     is_truck = any(candidate.message.protocol == "j1939" for fit in bound.values() for candidate in fit)
     return "\n".join(lines) + "\n" + ("" if is_truck else f"\n{LIGHT_VEHICLE}")
+
+
+def battery(sign: str | None) -> str:
+    """TOML text of the ``sign`` of a battery current, None where it is not known."""
+    return f'\n[vehicle]\ndischarge_current = "{sign or "positive"}"  # {DISCHARGE[sign]}\n'
 
 
 def _ways(need: str) -> list[str]:

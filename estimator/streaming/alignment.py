@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, substate
 from estimator.preparation.past_speed import PastSpeed
+from estimator.roles import BATTERY, is_electric
 from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
 from estimator.signals import Floats, Mask, Quantity, Role, Series
-from estimator.streaming.engine_power import BATTERY, EnginePower, is_electric
+from estimator.streaming.engine_power import EnginePower
 from estimator.streaming.frozen_rows import FrozenRows
 from estimator.streaming.lone_errors import lone_errors
 from estimator.streaming.resampling import MAX_FRESH, Track

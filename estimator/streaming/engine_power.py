@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, read, substate
+from estimator.roles import BATTERY, is_electric
 from estimator.settings import Positive, Vehicle
 from estimator.signals import Floats, Mask, Role, Series
 from estimator.streaming.friction import FrictionCurve
@@ -25,14 +26,6 @@ SPIKE_WINDOW = 5  # readings, for the running median
 MIN_SPIKE_SDS = 8.0
 MIN_SPREAD_SHARE = 0.02  # sd over the usual power: with a smaller one, a step of resolution would count as a spike
 MAD_TO_SD = 1.4826  # of a Gaussian
-
-
-BATTERY = frozenset({Role.BATTERY_VOLTAGE, Role.BATTERY_CURRENT})
-
-
-def is_electric(bound: Set[Role]) -> bool:
-    """True if power is that of the battery: its roles are ``bound``, and no engine power or torque is."""
-    return bound >= BATTERY and not bound & {Role.ENGINE_POWER, Role.ENGINE_TORQUE}
 
 
 def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:

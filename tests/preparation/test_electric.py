@@ -1,5 +1,6 @@
 """An electric car whose bus has voltage and current of the battery, through its DBC file: what the battery feeds."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,12 @@ from simulated_logs import ask
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
+from estimator.config import load
 from estimator.preparation.power_at_rest import IDLE_SD, MIN_IDLE, REST_SD, REST_SHARE, powers_at_rest
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 
+Cli = Callable[..., tuple[int, str, str]]
 DBC = """VERSION ""
 BS_:
 BU_: X
@@ -58,15 +61,15 @@ def speeds(minutes: float, rng: np.random.Generator) -> Floats:
     return v
 
 
-def car(folder: Path, heater: float, regained: float, minutes: float = 12.0) -> tuple[Path, Path]:
-    """A log of the car, and its configuration."""
+def car(folder: Path, heater: float, regained: float, minutes: float = 12.0, sign: int = -1) -> tuple[Path, Path]:
+    """A log of the car, and its configuration; ``sign`` is that of the current while it drives."""
     rng = np.random.default_rng(3)
     v = speeds(minutes, rng)
     t = 0.1 * np.arange(len(v))
     at_wheels = A * v + C * v**3 + MASS * v * np.gradient(v, 0.1)
     power = np.where(at_wheels > 0, at_wheels, regained * at_wheels) + AUXILIARIES + heater * np.exp(-t / TIME)
     volts = 380.0 + rng.normal(0, 0.2, len(v))
-    amperes = -(power + rng.normal(0, 300.0, len(v))) / volts
+    amperes = sign * (power + rng.normal(0, 300.0, len(v))) / volts
     sent = np.round(3.6 * (v + rng.normal(0, 0.004, len(v)) * (v > 0)) / 0.01).clip(0)
     return log(folder, t, sent, np.round(10 * volts), np.round(10 * amperes)), settings(folder)
 
@@ -129,6 +132,37 @@ def test_with_the_heater_in_the_model_the_mass_is_that_of_the_car(cold):
     assert answer["effects"] == ["cabin_heater"]
     assert abs(mass["mean"] - MASS) < 3 * mass["sd"]
     assert mass["sd"] < 0.02 * MASS
+
+
+# The sign of the current
+
+
+@pytest.mark.parametrize(("sign", "word"), [(-1, "negative"), (1, "positive")])
+def test_a_proposal_has_the_sign_of_the_current_by_the_log(tmp_path: Path, cli: Cli, sign: int, word: str) -> None:
+    drive, _ = car(tmp_path, HEATER, REGAINED, 3.0, sign)
+    assert cli("init", tmp_path / "car.dbc", drive, "-o", tmp_path / "new.toml")[0] == 0
+    assert load(tmp_path / "new.toml").vehicle.discharge_current == word
+    assert f'discharge_current = "{word}"  # by the log' in (tmp_path / "new.toml").read_text()
+
+
+@pytest.mark.parametrize("has_log", [False, True], ids=["no log", "level speed"])
+def test_a_proposal_says_that_the_sign_of_the_current_is_not_known(tmp_path: Path, cli: Cli, has_log: bool) -> None:
+    _, file = car(tmp_path, HEATER, REGAINED, 0.1)
+    n = 1200
+    level = log(tmp_path, 0.1 * np.arange(n), 6000 + np.arange(n) % 2, 3800 + np.arange(n) % 2, np.arange(n) % 5)
+    code, out, _ = cli("init", file.with_name("car.dbc"), *[level] * has_log)
+    assert code == 0
+    assert 'discharge_current = "positive"  # no log shows it: "negative" if' in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", ["positive", "negative"])
+def test_an_estimate_with_the_other_sign_names_the_key(tmp_path: Path, cli: Cli, given: str) -> None:
+    drive, file = car(tmp_path, 0.0, 1.0, sign=-1 if given == "positive" else 1)
+    file.write_text(SETTINGS.replace('"negative"', f'"{given}"'))
+    other = "negative" if given == "positive" else "positive"
+    _, out, _ = cli("estimate", drive, "--config", file)
+    assert f'if the battery current has the other sign, write [vehicle] discharge_current = "{other}"' in out
 
 
 # The power at rest
