@@ -1,13 +1,13 @@
 """Signals of a database that may have a role: by their name and that of the message, unit, range, comment, values.
 
-A score has no unit: it orders the candidates of a role. A signal below `MIN_SCORE` is no candidate.
+A score has no unit: it orders the candidates of a role. A signal below `MIN_SCORE` is no candidate, but where a role of
+`BY_UNIT` has none, signals with its unit are guesses.
 """
 
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import numpy as np
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.role_words import COMMAND, CORNER, ELSEWHERE, WORDS, Words
@@ -21,6 +21,7 @@ NAMED, MENTIONED, UNLIKE = 4.0, 1.0, -4.0  # points for the names, for the comme
 RIGHT_UNIT, NO_UNIT, STRANGE_UNIT = 2.0, -1.5, -2.0
 MAX_STATE_BITS = 4  # of a switch
 MAX_CANDIDATES = 6  # of a role; each wheel may have as many
+MAX_GUESSES = 12  # of a role, of which the log shows the best
 LEAST_REACH = {  # [SI] that a signal must be able to say, or it is of something smaller: 12 V, a cell, a window motor
     Role.SPEED: 20.0,
     Role.WHEEL_SPEEDS: 20.0,
@@ -31,6 +32,14 @@ LEAST_REACH = {  # [SI] that a signal must be able to say, or it is of something
     Role.BATTERY_CURRENT: 20.0,
     Role.MASS_REFERENCE: 1000.0,
 }
+BY_UNIT = (  # roles of speed and power whose units few other signals have
+    Role.SPEED,
+    Role.ENGINE_POWER,
+    Role.ENGINE_TORQUE,
+    Role.ENGINE_SPEED,
+    Role.BATTERY_VOLTAGE,
+    Role.BATTERY_CURRENT,
+)
 NOT_OF_ONE_WHEEL = (Role.SPEED, Role.ENGINE_SPEED, Role.ENGINE_TORQUE, Role.ALTITUDE)
 USUAL_UNIT = {  # where the DBC gives none
     "m/s": "km/h",
@@ -60,8 +69,15 @@ class Candidate:
     unit: str | None = None
 
     @property
+    def is_guess(self) -> bool:
+        """True if its unit alone speaks for the role."""
+        return self.score < MIN_SCORE
+
+    @property
     def is_sure(self) -> bool:
         """True if the meaning of its values is known; it may be unknown for a gear or switch with special states."""
+        if self.is_guess:
+            return False
         if self.role == Role.GEAR:
             return self.message.protocol == "j1939" and not self.signal.choices
         if self.role not in SWITCHES or self.signal.length == 1:
@@ -76,7 +92,7 @@ class Candidate:
 
 
 def candidates(database: Database) -> dict[Role, list[Candidate]]:
-    """Candidates by role, the best first; only roles with candidates."""
+    """Candidates by role, the best first, or guesses; only roles with any."""
     signals = [
         (message, signal, _Texts.of(message, signal)) for message in database.messages for signal in message.signals
     ]
@@ -84,8 +100,11 @@ def candidates(database: Database) -> dict[Role, list[Candidate]]:
     for words in WORDS:
         fit = [candidate for texts in signals if (candidate := _candidate(words, *texts)) is not None]
         fit.sort(key=lambda candidate: -candidate.score)
-        if fit:
-            out[words.role] = fit[: MAX_CANDIDATES * (4 if words.role == Role.WHEEL_SPEEDS else 1)]
+        named = [candidate for candidate in fit if not candidate.is_guess]
+        if named:
+            out[words.role] = named[: MAX_CANDIDATES * (4 if words.role == Role.WHEEL_SPEEDS else 1)]
+        elif fit:
+            out[words.role] = fit[:MAX_GUESSES]
     return out
 
 
@@ -167,7 +186,7 @@ def _candidate(words: Words, message: Message, signal: Signal, texts: _Texts) ->
     if words.role == Role.WHEEL_SPEEDS and corner(signal) and unit is None:
         texts = replace(texts, name=f"wheel speed {texts.name}")  # a speed of a corner of the vehicle has no other
     score += _points(words, texts)
-    if score < MIN_SCORE:
+    if score < MIN_SCORE and (unit is not None or words.role not in BY_UNIT):
         return None
     return Candidate(role=words.role, message=message, signal=signal, score=score, unit=unit)
 
@@ -183,7 +202,7 @@ def _points(words: Words, texts: _Texts) -> float:
     elif re.search(like, f"{texts.message} {texts.comment}"):
         points = MENTIONED
     else:
-        return -np.inf
+        points = 0.0
     rest = texts.name if in_name is None else texts.name.replace(in_name[0], " ")
     foreign = {*_words_in(f"{words.unlike}|{COMMAND}", rest), *_words_in(ELSEWHERE, texts.message)}
     return points + UNLIKE * len(foreign)

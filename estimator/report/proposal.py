@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 
-from estimator.can_io.role_candidates import MENTIONED, Candidate, corner, is_one_of_two, wheels
+from estimator.can_io.role_candidates import LEAST_REACH, MENTIONED, Candidate, corner, is_one_of_two, wheels
 from estimator.can_io.switch_states import SWITCHES
 from estimator.report import usual_units
 from estimator.signals import DIMENSION, STATE, Role
@@ -39,6 +39,7 @@ DISCHARGE = {  # sign of the battery current while it drives
 GOOD = 4.5  # score of a candidate that power may be had from
 SHOWN = 4  # candidates of a role
 ON_THE_BUS, ALIVE = 3.0, 2.0  # points
+SMALL = 3.0  # points that a guess loses whose values are those of something smaller, such as a battery of 12 V
 
 
 def proposal(
@@ -63,11 +64,18 @@ def proposal(
     ):
         if not any(role in bound for role in roles):
             lines.append(f"# No signal was found for {need}: write {' or '.join(_ways(need))} here.")
+            lines += _guesses([role for role in roles if role in ranked and ranked[role][0].is_guess], ranked, found)
     for role in Role:
-        if role in ranked:
+        if role in ranked and not ranked[role][0].is_guess:
             lines += _role(role, ranked[role], bound.get(role, []), found)
     is_truck = any(candidate.message.protocol == "j1939" for fit in bound.values() for candidate in fit)
     return "\n".join(lines) + "\n" + ("" if is_truck else f"\n{LIGHT_VEHICLE}")
+
+
+def _guesses(roles: Sequence[Role], ranked: Mapping[Role, list[Candidate]], found: Survey | None) -> list[str]:
+    """Comments with the signals whose unit alone speaks for ``roles``."""
+    lines = [line for role in roles for line in _role(role, ranked[role], [], found)]
+    return ["# By its unit it may be:", *lines] if lines else []
 
 
 def battery(sign: str | None) -> str:
@@ -90,9 +98,9 @@ def _score(candidate: Candidate, found: Survey | None) -> float:
     there = None if found is None else found.presences.get(candidate.path)
     if there is None:
         return candidate.score
-    return (
-        candidate.score + ON_THE_BUS + ALIVE * (there.is_alive or candidate.role in SWITCHES) + min(there.rate, 10) / 10
-    )
+    is_small = candidate.is_guess and max(-there.minimum, there.maximum) < LEAST_REACH[candidate.role]
+    alive = ALIVE * (there.is_alive or candidate.role in SWITCHES) - SMALL * is_small
+    return candidate.score + ON_THE_BUS + alive + min(there.rate, 10) / 10
 
 
 def _bound(ranked: Mapping[Role, list[Candidate]], found: Survey | None) -> dict[Role, list[Candidate]]:

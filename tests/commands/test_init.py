@@ -230,6 +230,47 @@ def test_a_database_without_speed_and_power_says_so(tmp_path: Path, cli: Cli) ->
     assert "# No signal was found for power: write engine_power or " in out
 
 
+UNNAMED = """VERSION ""
+BO_ 256 ESP_21: 8 X
+ SG_ ESP_v_Signal : 0|16@1+ (0.01,0) [0|400] "MPH" X
+BO_ 300 BMS_01: 8 X
+ SG_ KL_Spannung : 0|16@1+ (0.01,0) [0|600] "V" X
+ SG_ HV_Spannung : 16|16@1+ (0.1,0) [0|600] "V" X
+ SG_ HV_Strom : 32|16@1- (0.1,0) [-1000|1000] "A" X
+ SG_ Zelle : 48|8@1+ (0.02,0) [0|5] "V" X
+"""
+
+
+def test_signals_whose_names_say_nothing_stand_in_comments_by_their_units(tmp_path: Path, cli: Cli) -> None:
+    database, log = tmp_path / "unnamed.dbc", tmp_path / "drive.log"
+    database.write_text(UNNAMED)
+    rows = []
+    for i in range(200):
+        volts = (1200 + i).to_bytes(2, "little") + (3600 + i).to_bytes(2, "little")
+        rows.append(f"({i / 10:.6f}) can0 100#{(i * 20).to_bytes(8, 'little').hex()}")
+        rows.append(f"({i / 10:.6f}) can0 12C#{(volts + i.to_bytes(4, 'little')).hex()}")
+    log.write_text("\n".join(rows) + "\n")
+    lines = {
+        "ESP_21.ESP_v_Signal": "speed",
+        "BMS_01.HV_Strom": "battery_current",
+        "BMS_01.HV_Spannung": "battery_voltage",
+    }
+    for inputs in ([database], [database, log]):
+        status, out, _ = cli("init", *inputs)
+        assert status == 0
+        assert all(f'# {role} = "{path}"' in out for path, role in lines.items())
+        assert "Zelle" not in out
+    assert out.index("BMS_01.HV_Spannung") < out.index("BMS_01.KL_Spannung")  # of 12 V, as the log shows
+    assert '# speed = "ESP_21.ESP_v_Signal"  # MPH; 10 Hz, 0 .. ' in out
+
+
+def test_signals_are_guessed_by_their_units_only_where_nothing_is_proposed(tmp_path: Path, cli: Cli) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(CAR + UNNAMED.partition("\n")[2])
+    assert "_Signal" not in cli("init", path)[1]
+    assert "Spannung" not in cli("init", path)[1]
+
+
 @pytest.mark.parametrize(
     ("files", "said"),
     [(["a.log"], "a.log: is no .dbc file"), (["a.dbc", "a.log", "b.log"], "b.log: is a second log")],
