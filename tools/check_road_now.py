@@ -183,7 +183,7 @@ CHECK = Check(
     title="The slope under the vehicle",
     measure=measure,
     tables=tables,
-    headline=Cells(columns=("rms", "within 90 %")),
+    headline=Cells(rows=("hidden, at", "poor, at", "good, at"), columns=("rms", "within 90 %")),
     options=add_options,
 )
 
