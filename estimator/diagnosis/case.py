@@ -7,7 +7,7 @@ from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
 from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of, wrong_unit_of
-from estimator.estimation.road_fit import RoadFit, fit
+from estimator.estimation.road_fit import RoadFit, fit, search_of
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.road_signals import contradicted
 from estimator.estimation.shapes import fitted_with_shapes, is_free, nearer_shapes, terms_of
@@ -52,7 +52,7 @@ class Case:
         lightest, force = drive.config.prior.mass_kg[0], driven.power / driven.speed
         if reason := wrong_sign_of(driven.power, driven.a) or wrong_unit_of(force, driven.a, lightest):
             return reason
-        others = contradicted(drive.strides, lambda strides, is_level: fit(strides, level=is_level))
+        others = contradicted(drive.strides, search_of)
         drive = replace(drive, strides=drive.strides.without(others))
         moving = [effect for effect in given if not (effect.is_gravity or effect.is_absorbed)]
         terms = _terms(drive, moving) if moving else ()

@@ -178,7 +178,7 @@ def fit(
     rests
         Measured power while the vehicle stood.
     """
-    search = _search(strides, terms, longest_lag, departures)
+    search = search_of(strides, terms, longest_lag, departures)
     if search is None:
         return None
     if known is not None:
@@ -199,7 +199,7 @@ def fit_given(
 
     Scales are searched anew if other signals show the road, or if they differ too much for floating point.
     """
-    search = _search(strides, terms, longest_lag, departures)
+    search = search_of(strides, terms, longest_lag, departures)
     if search is None:
         return None
     if scales.readings == search.model(scales).reading_names:
@@ -208,8 +208,11 @@ def fit_given(
     return fit(strides, terms, None, longest_lag, departures, scales.alpha == LEVEL, rests)
 
 
-def _search(
-    strides: Strides, terms: Sequence[EffectTerm], longest_lag: float, departures: Sequence[float]
+def search_of(
+    strides: Strides,
+    terms: Sequence[EffectTerm] = (),
+    longest_lag: float = float(LAGS.max()),
+    departures: Sequence[float] = (),
 ) -> Search | None:
     """Return the search over strides, or None under the conditions of `fit`."""
     driven = strides[strides.known]

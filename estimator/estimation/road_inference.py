@@ -30,7 +30,7 @@ from estimator.estimation.gain_changes import gain_changes
 from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_sign_of, wrong_unit_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
-from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit, fit, fit_given
+from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit, fit, fit_given, search_of
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
@@ -51,6 +51,7 @@ from estimator.strides import DURATION, LAGS, Strides
 # Factor by which the window must grow before the scales of road and noise are searched again. Searched in every update,
 # three drives of 40 min took 1.6 times as much processor time, and their masses moved by at most 0.14 sd.
 MIN_GROWTH = 1.5
+MIN_GROWTH_OF_SIGNALS = 3.0  # the same for comparing signals of the road: it takes four searches
 # Limits of a fit that describes the drive; in brackets the worst of five simulated drives and of seven of a BMW i3.
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.014, 0.024)
@@ -94,7 +95,8 @@ class RoadInference:
         self._scales: RoadScales | None = None
         self._fitted = 0  # rows in the window when the scales were found
         self._departures: tuple[float, ...] = ()  # [s] between the loads in the window
-        self._contradicted: tuple[str, ...] = ()  # signals of the road that are left out
+        self._contradicted: tuple[str, ...] = ()  # signals of the road that are left out, until another drive
+        self._compared = 0  # rows in the window when the signals were compared
 
     def start_segment(self, departure: float | None = None) -> float | None:
         """Begin a new load at ``departure`` [s], None at the start of a drive: the present one becomes the one before.
@@ -107,7 +109,7 @@ class RoadInference:
         self._loads.start_segment(kept)
         self.evidence = None
         if departure is None or not kept:
-            self._fitted, self._departures = 0, ()
+            self._fitted, self._compared, self._departures, self._contradicted = 0, 0, (), ()
             return None
         departures = (*self._departures, departure)
         self._departures = departures[-KEPT_LOADS:]
@@ -128,6 +130,7 @@ class RoadInference:
             "fitted": self._fitted,
             "departures": list(self._departures),
             "contradicted": list(self._contradicted),
+            "compared": self._compared,
         }
 
     def restore(self, state: State) -> None:
@@ -149,6 +152,7 @@ class RoadInference:
         self._fitted = read(state, "fitted", Count)
         self._departures = tuple(read(state, "departures", list[float]))
         self._contradicted = tuple(read(state, "contradicted", list[str]))
+        self._compared = read(state, "compared", Count)
         if np.any(np.diff(self._departures) <= 0):
             raise StateError("departures: do not rise")
 
@@ -157,7 +161,7 @@ class RoadInference:
 
         The scales of road and noise may be why, so the next update finds them from the centres of their priors.
         """
-        self.restore({**state, "scales": None, "fitted": 0})
+        self.restore({**state, "scales": None, "fitted": 0, "compared": 0})
         self.evidence = None
 
     def conclude(self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str]) -> Estimate:
@@ -200,13 +204,9 @@ class RoadInference:
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        if grown:
-            self._contradicted = contradicted(
-                strides,
-                lambda seen, is_level: fit(
-                    seen, (), None, self._config.kinematics.maximum_lag_s, self._departures, is_level
-                ),
-            )
+        if not self._contradicted and _has_changed(held, self._compared, MIN_GROWTH_OF_SIGNALS):
+            self._compared, limit = held, self._config.kinematics.maximum_lag_s
+            self._contradicted = contradicted(strides, lambda seen: search_of(seen, (), limit, self._departures))
         strides = strides.without(self._contradicted)
         terms = terms_of(
             strides, self._effects, lambda: self._fitted_beside(strides, (), self._scales, is_search=False)

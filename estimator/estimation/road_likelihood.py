@@ -152,7 +152,7 @@ class Likelihood:
         taken: Floats | float = 0.0,
     ) -> None:
         self.model, self.lag, self.terms, self.departures = model, lag, tuple(terms), tuple(departures)
-        self._road_load, self._taken = road_load, taken
+        self.road_load, self._taken = road_load, taken
         self._last: tuple[bytes, Conditioned, Floats] | None = None
         self._clean = X = self._columns(model.driven)
         self._plain = X.shape[1] - len(terms)  # coefficients before the offsets
@@ -172,7 +172,7 @@ class Likelihood:
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
 
     def _columns(self, driven: Strides) -> Floats:
-        return columns(driven, self.lag, self.terms, self._road_load, self.departures, self._taken)
+        return columns(driven, self.lag, self.terms, self.road_load, self.departures, self._taken)
 
     def solve(self, gram: Floats) -> tuple[Floats, Floats, float]:
         """Coefficients (p,), their information (p, p) and -2 log likelihood without log|K|; in own units."""

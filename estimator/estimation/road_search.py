@@ -160,11 +160,11 @@ class Search:
         """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
         self._known = known
         try:
-            scales, evidence = self._lagged(known or self._central(level))
+            scales, evidence = self._lagged(known or self.central(level))
         except NotPositiveDefiniteError:  # scales of another part of the drive
             if known is None:
                 raise
-            scales, evidence = self._lagged(self._central(level))
+            scales, evidence = self._lagged(self.central(level))
         scales, evidence, lead = self._better(scales, evidence, _other_noise(scales))
         chance = 0.0 if scales.has_power else 1 / (1 + float(np.exp(min(lead, MAX_EXPONENT))))
         scales = replace(scales, power_chance=chance)
@@ -180,8 +180,8 @@ class Search:
                 scales, evidence, _ = self._better(scales, evidence, replace(scales, alpha=alpha))
         return self._settled(scales), replace(scales, lost=tuple(self._lost)), evidence
 
-    def _central(self, level: bool) -> RoadScales:
-        """Scales at the centres of their priors, without noise of the power."""
+    def central(self, level: bool) -> RoadScales:
+        """Scales at the centres of their priors, without noise of the power, and the better order of the wander."""
         model = RoadModel(self._strides, LEVEL if level else ALPHAS[0], ROUGH, power=False)
         values = np.array([scale.centre for scale in model.scales])
         values[POWER] = model.scales[POWER].low
