@@ -144,6 +144,7 @@ class Estimate:
     road: Road | None = None  # where the model has one
     c_rr: Marginal | None = None  # A / (m g) [1], by the mass that is estimated, rotating parts included
     air_density: float | None = None  # [kg/m^3] that C holds for; None where no signal shows it
+    doubt: str = ""  # why a unit may be wrong although the estimate stands
 
     @property
     def marginals(self) -> dict[str, Marginal | None]:

@@ -37,7 +37,7 @@ from estimator.estimation.road_search import RoadScales
 from estimator.estimation.road_signals import contradicted
 from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
-from estimator.estimation.usual_vehicles import Size, unusual
+from estimator.estimation.usual_vehicles import Doubt, Size, unusual
 from estimator.estimation.window import Window
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import obstacle
@@ -194,13 +194,15 @@ class RoadInference:
             return withheld("speed and acceleration varied too little to tell A, C and m apart")
         if reason := self._undetermined(found):
             return withheld(reason)
-        if reason := self._unusual(found, scale):
-            return withheld(reason, status=Status.INVALID)
+        doubt = self._unusual(found, scale)
+        if doubt.is_certain:
+            return withheld(doubt.sentence, status=Status.INVALID)
         changes = gain_changes(found)
         contradicted, found = changes.contradiction(found), changes.averaged(found).checked()
         if reason := self._undetermined(found):
             return withheld(contradicted or reason)
-        return self._judge(t, found, contradicted, withheld)
+        estimate = self._judge(t, found, contradicted, withheld)
+        return replace(estimate, doubt=doubt.sentence) if estimate.status is Status.ESTIMATED else estimate
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
@@ -259,10 +261,10 @@ class RoadInference:
             return withheld(draws.complaint, coverage)
         return self._published(t, found, draws, coverage, reasons)
 
-    def _unusual(self, found: RoadFit, scale: ScaleCheck) -> str:
-        """Reason to doubt the unit of the speed, by the size of the vehicle; empty where there is none."""
+    def _unusual(self, found: RoadFit, scale: ScaleCheck) -> Doubt:
+        """Doubt about the unit of the speed, by the size of the vehicle."""
         if scale.is_confirmed:
-            return ""
+            return Doubt()
         A, C, m = found.theta[:ROAD_LOAD].tolist()
         sd = np.sqrt(np.maximum(np.diag(found.theta_covariance())[:ROAD_LOAD], 0.0))
         size = Size(A=A, C=C, mass=m, sd=sd, power=float(np.quantile(found.strides.power, PEAK_QUANTILE)))

@@ -13,6 +13,7 @@ other as hypotheses,
 
 z_i being the distance of size i from the usual one, over the spread and the sd of the fit. A size is believed up to
 MAX_SDS: then it is of a kind of vehicle that is not known here, and says nothing more. So one size alone never decides.
+Without P(f), which is small, a unit is a doubt beside the estimate.
 """
 
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ from estimator.units import STANDARD_GRAVITY
 
 AIR_DENSITY = 1.2  # kg/m^3
 CHANCE = 0.003  # of each of UNITS, before anything is known: a mistake in one of fifty bindings
-MIN_LOG_ODDS = 3.0  # of a unit against none, from which the estimate is withheld: 20 to 1
+MIN_LOG_ODDS = 3.0  # of a unit against none, from which the estimate is withheld, and of a doubt: 20 to 1
 MAX_SDS = 3.0
 HEAVY = 3500.0  # kg, from which a vehicle has tyres of trucks
 ROLLING_OF_CARS, ROLLING_OF_TRUCKS, ROLLING_SPREAD = 0.011, 0.0065, 0.35  # ISO 28580 classes C1 and C3, and losses
@@ -71,8 +72,16 @@ class Size:
         )
 
 
-def unusual(size: Size, motion: Motion | None, signal: str, masses: Range) -> str:
-    """Sentence on the sizes of the vehicle that make the unit of its speed doubtful; empty if they are usual.
+@dataclass(frozen=True)
+class Doubt:
+    """A ``sentence`` on a vehicle that is unusual; empty if it is usual. ``is_certain``: no vehicle is like that."""
+
+    sentence: str = ""
+    is_certain: bool = False
+
+
+def unusual(size: Size, motion: Motion | None, signal: str, masses: Range) -> Doubt:
+    """Doubt about the unit of the speed, by the sizes of the vehicle.
 
     Parameters
     ----------
@@ -84,14 +93,14 @@ def unusual(size: Size, motion: Motion | None, signal: str, masses: Range) -> st
         Masses that the configuration allows [kg].
     """
     if size.mass <= 0 or motion is None:
-        return ""
+        return Doubt()
     plain = _log_density(size, motion, 1.0)
     gains = {f: _log_density(size, motion, f) - plain for f in UNITS if masses[0] <= size.mass * f**2 <= masses[1]}
     best = max(gains, key=lambda f: gains[f], default=1.0)
     gain = gains.get(best, -np.inf)
     is_beyond_all = size.power > MAX_POWER_PER_MASS * size.mass or size.least_drag_area > MAX_DRAG_AREA
-    if not is_beyond_all and np.log(CHANCE) + gain < MIN_LOG_ODDS:
-        return ""
+    if not is_beyond_all and gain < MIN_LOG_ODDS:
+        return Doubt()
     sizes = [
         f"{size.mass:,.0f} kg",
         f"rolling coefficient {100 * size.A / (size.mass * STANDARD_GRAVITY):.2g} %",
@@ -102,7 +111,10 @@ def unusual(size: Size, motion: Motion | None, signal: str, masses: Range) -> st
     if motion.gearing is not None:
         sizes.append(f"{motion.gearing:.2g} rad/m of the engine")
     guess = f"{signal} may read {best:.3g} times too large" if gain > 0 else f"{signal} or the power is wrong"
-    return f"no vehicle has all of {', '.join(sizes)}: {guess}: {remedy(best) if gain > 0 else 'check their units'}"
+    advice = remedy(best) if gain > 0 else "check their units"
+    is_certain = is_beyond_all or np.log(CHANCE) + gain >= MIN_LOG_ODDS
+    seldom = "no vehicle has" if is_certain else "few vehicles have"
+    return Doubt(f"{seldom} all of {', '.join(sizes)}: {guess}: {advice}", bool(is_certain))
 
 
 def _log_density(size: Size, motion: Motion, f: float) -> float:

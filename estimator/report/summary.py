@@ -56,7 +56,8 @@ def of_run(run: Run) -> RunAnswer:
 def warnings(run: Run) -> tuple[str, ...]:
     """One line for each thing that widens the estimate, was left out of it, or may be wrong in the DBC."""
     traffic = run.pipeline.traffic
-    return (*traffic.remarks, *warnings_of(run.pipeline.config, traffic.errors))
+    doubts = [run.final.doubt] if run.final.doubt else []
+    return (*doubts, *traffic.remarks, *warnings_of(run.pipeline.config, traffic.errors))
 
 
 def references(pipeline: Pipeline, estimate: Estimate | None) -> References:

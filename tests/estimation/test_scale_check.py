@@ -11,7 +11,7 @@ from estimator.config import Config, from_dict
 from estimator.estimates import Estimate, Status
 from estimator.estimation.log_counts import LogCounts
 from estimator.estimation.scale_check import Motion, ScaleCheck
-from estimator.estimation.usual_vehicles import Size, unusual
+from estimator.estimation.usual_vehicles import Doubt, Size, unusual
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
 from estimator.simulation.recording import record
@@ -128,7 +128,9 @@ CAR = {"mass": 1600.0, "A": 180.0, "C": 0.36, "gearing": 27.6, "fastest": 36.0, 
 
 @pytest.mark.parametrize("factor", [1.609, 1 / 1.609, 2.237, 1 / 2.237, 1 / 3.6])
 def test_a_truck_in_the_wrong_unit_goes_together_with_nothing(factor):
-    reason = sized(factor, **TRUCK)
+    doubt = sized(factor, **TRUCK)
+    assert doubt.is_certain
+    reason = doubt.sentence
     assert "VEHICLE.Speed" in reason
     assert f"{1 / factor:.3g} would fit" in reason
 
@@ -148,12 +150,20 @@ def test_a_truck_in_the_wrong_unit_goes_together_with_nothing(factor):
     ],
 )
 def test_a_vehicle_that_is_unusual_in_one_respect_is_believed(vehicle):
-    assert sized(1.0, **vehicle) == ""
+    assert sized(1.0, **vehicle) == Doubt()
+
+
+def test_a_car_with_one_gear_in_the_wrong_unit_is_a_doubt():
+    """Sizes of a BMW i3 whose km/h are read as mph."""
+    doubt = sized(1.609, mass=1600.0, A=160.0, C=0.3, gearing=27.4, fastest=22.0, is_single=True)
+    assert not doubt.is_certain
+    assert doubt.sentence.startswith("few vehicles have all of 618 kg")
+    assert "speed (VEHICLE.Speed) may read 1.61 times too large" in doubt.sentence
 
 
 def test_sizes_that_the_drive_does_not_tell_say_nothing():
     size = Size(A=10.0, C=0.01, mass=27_190.0, sd=np.array([1000.0, 5.0, 300.0]), power=3e5)
-    assert unusual(size, Motion(24.0, 5.4, False, None), "speed", MASSES) == ""
+    assert unusual(size, Motion(24.0, 5.4, False, None), "speed", MASSES) == Doubt()
 
 
 def mislabelled(folder: Path, unit: str) -> Config:
