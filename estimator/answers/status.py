@@ -100,7 +100,10 @@ class Signal(Struct, frozen=True, kw_only=True):
 
 
 class Estimate(Struct, frozen=True, kw_only=True):
-    """The latest conclusion, at a time since the first frame; ``samples`` in the window."""
+    """The latest conclusion, at a time since the first frame; ``samples`` in the window.
+
+    ``doubt``: why a unit may be wrong although the estimate stands.
+    """
 
     status: Status
     reason: str
@@ -112,6 +115,7 @@ class Estimate(Struct, frozen=True, kw_only=True):
     t_s: float | None = None
     road: Road | None = None
     coefficients: Coefficients | None = None
+    doubt: str = ""
 
 
 class Progress(Struct, frozen=True, kw_only=True):

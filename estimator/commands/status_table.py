@@ -76,6 +76,8 @@ def _print_estimate(console: Console, status: StatusAnswer) -> None:
         style = f"bold {STYLES[estimate.status]}"
         age = f", concluded {clock(estimate.age_s)} ago"
         console.print(Text.assemble("estimate  ", (estimate.status.value, style), printable(why), age), soft_wrap=True)
+        if estimate.doubt:
+            say(console, f"warning   {estimate.doubt}")
         if estimate.status is Status.ESTIMATED:
             print_estimate(console, estimate.parameters, estimate.coefficients)
         for row in ROWS:

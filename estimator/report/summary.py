@@ -156,6 +156,7 @@ def conclusion(estimate: Estimate | None, t: float, start: float | None) -> stat
         t_s=None if start is None else round(estimate.t - start, 3),
         road=road(estimate),
         coefficients=coefficients(estimate),
+        doubt=estimate.doubt,
     )
 
 

@@ -1,17 +1,22 @@
 """A speed that is read too large or too small is noticed, by other signals, by limits, or by what goes together."""
 
+import io
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from estimator.can_io.j1939_encoder import frames_of
+from estimator.commands.status_table import _print_estimate
 from estimator.config import Config, from_dict
-from estimator.estimates import Estimate, Status
+from estimator.estimates import Coverage, Estimate, Status
 from estimator.estimation.log_counts import LogCounts
 from estimator.estimation.scale_check import Motion, ScaleCheck
 from estimator.estimation.usual_vehicles import Doubt, Size, unusual
+from estimator.report import summary
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
 from estimator.simulation.recording import record
@@ -188,3 +193,20 @@ def test_kilometres_labelled_miles_withhold_the_mass_of_a_bus_without_a_second_s
     assert final.mass is None
     assert "CCVS1.WheelBasedVehicleSpeed" in final.reason
     assert "a factor of 0.622 would fit (in km/h, labelled mph?)" in final.reason
+
+
+def test_a_doubt_stands_beside_the_estimate():
+    estimate = Estimate(
+        t=60.0,
+        status=Status.ESTIMATED,
+        reason="",
+        coverage=Coverage(1, 2),
+        admitted=600,
+        doubt="few have this",
+    )
+    told = summary.conclusion(estimate, 61.0, 0.0)
+    assert told is not None
+    assert told.doubt == "few have this"
+    console = Console(file=io.StringIO(), width=80)
+    _print_estimate(console, SimpleNamespace(estimate=told, progress=None))
+    assert "warning   few have this\n" in console.file.getvalue()
