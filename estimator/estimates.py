@@ -93,7 +93,7 @@ class Road:
 
 def left_out(signals: Sequence[str]) -> str:
     """Clause that says which ``signals`` of the road the others contradict; empty where none is."""
-    return f"; {' and '.join(signals)} contradicted by it and left out" if signals else ""
+    return f"; {' and '.join(signals)} left out: the force and the other signals contradict it" if signals else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

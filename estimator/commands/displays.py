@@ -53,7 +53,7 @@ def display(console: Console, first: WatchAnswer, port: int | None) -> Iterator[
         newest = view
 
     with _page(port, lambda: newest) as address:
-        if not console.is_interactive:
+        if console.is_dumb_terminal or not (console.is_terminal and console.is_interactive):
             lines = Lines(console)
             if address:
                 say(console, f"page: {address}")

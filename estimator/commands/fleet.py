@@ -127,7 +127,8 @@ def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
 
 def _inputs(files: Sequence[str], out: Path) -> list[str]:
     """The files but those of an earlier run in ``out``, which may be a folder of the source."""
-    return [file for file in files if not Path(os.path.realpath(file)).is_relative_to(os.path.realpath(out))]
+    own = {os.path.realpath(path) for path in left_over(out, ())}
+    return [file for file in files if os.path.realpath(file) not in own]
 
 
 def _complain_of_others(left_out: Sequence[str], kind: Kind) -> None:

@@ -5,7 +5,7 @@ hypotheses of one term more. After each round, the scales of road and noise are 
 times of switching effects are proposed again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -85,7 +85,6 @@ class Search:
         self._drives, self._effects, self._earlier_terms = drives, effects, earlier_terms or EarlierTerms()
         self._given = [drive.chosen for drive in drives]
         self._candidates = CandidateTerms(effects, self._given, self._earlier_terms)
-        self._left_out = set[str]()  # names of effects that were impossible in every round
 
     @cached_property
     def _first_round(self) -> _Round:
@@ -158,14 +157,24 @@ class Search:
             return [found]
         return [found, *(self._converged(states, with_stretches=True).as_fitted for states in (found[1], start))]
 
-    def _round(self, states: tuple[DriveState, ...], size: int, with_processes: bool, with_stretches: bool) -> _Round:
-        """Make a table at the present scales, of hypotheses of up to ``size`` terms, or one more than act already."""
+    def _round(
+        self,
+        states: tuple[DriveState, ...],
+        size: int,
+        with_processes: bool,
+        with_stretches: bool,
+        left_out: Set[str] = frozenset(),
+    ) -> _Round:
+        """Make a table at the present scales, of hypotheses of up to ``size`` terms, or one more than act already.
+
+        Effects with names in ``left_out`` are in no hypothesis.
+        """
         drives = tuple(state.bare() for state in states)  # what this round computes is not in memory in the next
         candidates = [
             (
                 candidate
                 for candidate in self._candidates.on_drive(number, drive, with_processes, with_stretches)
-                if candidate.term.name not in self._left_out
+                if candidate.term.name not in left_out
             )
             for number, drive in enumerate(drives)
         ]
@@ -189,28 +198,36 @@ class Search:
         _OutOfReachError
             The search is not expected to reach ``min_log_posterior``; see `_Round.expected_log_posterior`.
         """
-        while (best := self._best_round(states, with_processes, with_stretches, min_log_posterior)) is None:
-            pass  # the effects that were impossible are left out
+        best, left_out = None, set[str]()
+        while best is None:  # effects that make every round impossible are left out
+            best = self._best_round(states, with_processes, with_stretches, min_log_posterior, left_out)
         for number, state in enumerate(best.states):
             self._earlier_terms.add_drive(number, state)
         chosen = best.space.without_small_gains(best.chosen)
         return best if chosen == best.chosen else replace(best, chosen=chosen, states=best.space.fitted(chosen))
 
     def _best_round(
-        self, states: tuple[DriveState, ...], with_processes: bool, with_stretches: bool, min_log_posterior: float
+        self,
+        states: tuple[DriveState, ...],
+        with_processes: bool,
+        with_stretches: bool,
+        min_log_posterior: float,
+        left_out: set[str],
     ) -> _Round | None:
         """Renew table and scales in turn, as long as the log posterior rises.
 
         A hypothesis that is best at the scales of another one may have less evidence at its own scales, or be
         impossible for the refitted vehicle. A round with an impossible hypothesis is not kept, but the next one starts
-        from its scales. If all are impossible, the result is None, and the impossible effects are left out from now on.
+        from its scales. If all are impossible, the result is None, and the effects that make the last one so are added
+        to ``left_out``.
         """
         best: _Round | None = None
         highest, impossible = log_evidence(states), set[str]()
         value = highest
         for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
-            is_first = states is self._drives and not (with_processes or with_stretches or self._left_out)
-            latest = self._first_round if is_first else self._round(states, size, with_processes, with_stretches)
+            is_first = states is self._drives and not (with_processes or with_stretches or left_out)
+            again = (states, size, with_processes, with_stretches, left_out)
+            latest = self._first_round if is_first else self._round(*again)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
             previous, value = value, latest.log_posterior
@@ -227,7 +244,7 @@ class Search:
             if len(latest.chosen) < latest.max_terms and gain < MIN_ROUND_GAIN:
                 break
         if best is None:
-            self._left_out |= impossible
+            left_out |= impossible
         return best
 
     def _impossible(self, states: tuple[DriveState, ...]) -> set[str]:

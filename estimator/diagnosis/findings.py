@@ -71,7 +71,7 @@ def _road_finding(decision: Decision) -> Finding:
     if shown < SHOWN_IN_PART:
         return hidden
     how = "shown by" if shown > SHOWN else "shown in part by"
-    signals = ", ".join(readings) + left_out(decision.cases[decision.result.longest_number].contradicted)
+    signals = ", ".join(readings) + _left_out(decision)
     return replace(
         hidden,
         magnitude=replace(hidden.magnitude, name=SHOWN_SLOPE),
@@ -97,8 +97,12 @@ def _hidden_road_finding(decision: Decision) -> Finding:
         rms_before=budget.base,
         rms_after=budget.base if part is None else part.expected,
         shift=decision.shift,
-        detail="varies with place; no signal on the bus shows it",
+        detail="varies with place; no signal on the bus shows it" + _left_out(decision),
     )
+
+
+def _left_out(decision: Decision) -> str:
+    return left_out(decision.cases[decision.result.longest_number].contradicted)
 
 
 def _effect_finding(decision: Decision, chosen: ChosenEffect, before: Sequence[str]) -> Finding:

@@ -218,7 +218,7 @@ class Estimator:
                 admitted=len(self.window),
             )
         fit = None if self.evidence is None else self.evidence.fit
-        self._road.conclude(None if fit is None else (fit, self.window.strides))
+        self._road.conclude(None if fit is None else (fit, self.window.strides.without(fit.contradicted)))
         if self._latest.status == Status.ESTIMATED:
             self._at_last = self.window.added
         return self._latest

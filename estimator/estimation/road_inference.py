@@ -34,7 +34,7 @@ from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit, fit, fit_gi
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
-from estimator.estimation.road_signals import contradicted
+from estimator.estimation.road_signals import contradicted, shown_by
 from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
 from estimator.estimation.usual_vehicles import Doubt, Size, unusual
@@ -42,6 +42,7 @@ from estimator.estimation.window import Window
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import obstacle
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
+from estimator.model.road_nodes import SIGNALS
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.preparation.stage import moving_effects
 from estimator.roles import is_electric
@@ -51,7 +52,7 @@ from estimator.strides import DURATION, LAGS, Strides
 # Factor by which the window must grow before the scales of road and noise are searched again. Searched in every update,
 # three drives of 40 min took 1.6 times as much processor time, and their masses moved by at most 0.14 sd.
 MIN_GROWTH = 1.5
-MIN_GROWTH_OF_SIGNALS = 3.0  # the same for comparing signals of the road: it takes four searches
+MIN_GROWTH_OF_SIGNALS = 3.0  # the same for comparing signals of the road: with two it takes four climbs
 # Limits of a fit that describes the drive; in brackets the worst of five simulated drives and of seven of a BMW i3.
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.014, 0.024)
@@ -95,8 +96,9 @@ class RoadInference:
         self._scales: RoadScales | None = None
         self._fitted = 0  # rows in the window when the scales were found
         self._departures: tuple[float, ...] = ()  # [s] between the loads in the window
-        self._contradicted: tuple[str, ...] = ()  # signals of the road that are left out, until another drive
-        self._compared = 0  # rows in the window when the signals were compared
+        self._signals: tuple[str, ...] = ()  # of the road, that were compared
+        self._compared = 0  # rows in the window then
+        self._contradicted: tuple[str, ...] = ()  # those left out, until there are others or another drive
 
     def start_segment(self, departure: float | None = None) -> float | None:
         """Begin a new load at ``departure`` [s], None at the start of a drive: the present one becomes the one before.
@@ -130,6 +132,7 @@ class RoadInference:
             "fitted": self._fitted,
             "departures": list(self._departures),
             "contradicted": list(self._contradicted),
+            "signals": list(self._signals),
             "compared": self._compared,
         }
 
@@ -152,7 +155,10 @@ class RoadInference:
         self._fitted = read(state, "fitted", Count)
         self._departures = tuple(read(state, "departures", list[float]))
         self._contradicted = tuple(read(state, "contradicted", list[str]))
+        self._signals = tuple(read(state, "signals", list[str]))
         self._compared = read(state, "compared", Count)
+        if not {*self._contradicted, *self._signals} <= set(SIGNALS):
+            raise StateError("contradicted, signals: are not those of the road")
         if np.any(np.diff(self._departures) <= 0):
             raise StateError("departures: do not rise")
 
@@ -198,16 +204,17 @@ class RoadInference:
         if doubt.is_certain:
             return withheld(doubt.sentence, status=Status.INVALID)
         changes = gain_changes(found)
-        contradicted, found = changes.contradiction(found), changes.averaged(found).checked()
+        conflict, found = changes.contradiction(found), changes.averaged(found).checked()
         if reason := self._undetermined(found):
-            return withheld(contradicted or reason)
-        estimate = self._judge(t, found, contradicted, withheld)
+            return withheld(conflict or reason)
+        estimate = self._judge(t, found, conflict, withheld)
         return replace(estimate, doubt=doubt.sentence) if estimate.status is Status.ESTIMATED else estimate
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        if not self._contradicted and _has_changed(held, self._compared, MIN_GROWTH_OF_SIGNALS):
-            self._compared, limit = held, self._config.kinematics.maximum_lag_s
+        signals, is_new = tuple(shown_by(strides)), _has_changed(held, self._compared, MIN_GROWTH_OF_SIGNALS)
+        if signals != self._signals or (is_new and not self._contradicted):
+            self._signals, self._compared, limit = signals, held, self._config.kinematics.maximum_lag_s
             self._contradicted = contradicted(strides, lambda seen: search_of(seen, (), limit, self._departures))
         strides = strides.without(self._contradicted)
         terms = terms_of(
@@ -232,7 +239,7 @@ class RoadInference:
             return fit(strides, terms, scales, limit, self._departures)
         return fit_given(strides, scales, terms, limit, self._departures)
 
-    def _judge(self, t: float, found: RoadFit, contradicted: str, withheld: Withheld) -> Estimate:
+    def _judge(self, t: float, found: RoadFit, conflict: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)
         usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual_magnitude(found.road_load) for term in found.terms]
         lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
@@ -249,8 +256,8 @@ class RoadInference:
         )
         if reason := self._gate.missing_coverage(coverage) or _outside(judged, *bounds):
             return withheld(reason, coverage)
-        if contradicted:
-            return withheld(contradicted, coverage)
+        if conflict:
+            return withheld(conflict, coverage)
         reasons = self._reasons(judged, found, *bounds)
         if "m" in reasons:
             return withheld(reasons["m"], coverage)

@@ -133,7 +133,8 @@ class _Loads:
         self._updates[estimator.segment] = update, None if evidence is None else evidence.coefficients
         self._roads.pop(estimator.segment, None)
         if evidence is not None and evidence.fit is not None:
-            self._roads[estimator.segment] = estimator.window.strides, evidence.fit
+            fit = evidence.fit
+            self._roads[estimator.segment] = estimator.window.strides.without(fit.contradicted), fit
 
     def doubt(self, segment: int, reason: str) -> None:
         """Make a load unestimated for this reason, and drop its road."""

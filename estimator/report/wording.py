@@ -198,8 +198,10 @@ def ladder(d: Diagnosis) -> list[tuple[str, float]]:
     if d.rms_base is None:
         return []
     late = next((effect for effect in d.effects if effect.name in (LATE, EARLY)), None)
-    others = [effect for effect in d.effects if effect is not late]
-    after = [_by_force(d, effect.rms_after) if is_hidden(effect) else effect.rms_after for effect in others]
+    road = None if d.budget is None else d.budget.part(ROAD)
+    by_force = None if road is None else road.held_out_rms
+    others = [f for f in d.effects if f is not late and not (is_hidden(f) and by_force is None)]
+    after = [by_force if by_force is not None and is_hidden(f) else f.rms_after for f in others]
     if after and d.rms_final is not None:
         after[-1] = d.rms_final
     first = [] if late is None else [(_step_name(late), late.rms_after)]
@@ -214,20 +216,15 @@ def closes(d: Diagnosis, effect: Finding) -> str:
     steps = ladder(d)
     name = _step_name(effect)
     number = next((i for i, (step, _) in enumerate(steps) if step == name), 0)
-    (_, before), (_, after) = steps[number - 1 : number + 1] if number > 1 else [("", 0.0)] * 2
-    falls = f"takes the residual from {kilowatts(before)} to {kilowatts(after)}" if after < before else ""
+    (_, before), (_, after) = steps[number - 1 : number + 1] if number else [("", 0.0)] * 2
+    is_less = after < before and kilowatts(after) != kilowatts(before)
+    falls = f"takes the residual from {kilowatts(before)} to {kilowatts(after)}" if is_less else ""
     share = "" if effect.gap_closed is None else f"closes {interval(effect.gap_closed)} of the gap"
     return ", ".join(filter(None, (share, falls)))
 
 
 def _step_name(effect: Finding) -> str:
     return f"+ {label(effect.name)}{' by the force alone' if is_hidden(effect) else ''}"
-
-
-def _by_force(d: Diagnosis, known: float) -> float:
-    """Residual [W] with a road that the force alone shows; that of a ``known`` road where it was not computed."""
-    road = None if d.budget is None else d.budget.part(ROAD)
-    return known if road is None or road.held_out_rms is None else road.held_out_rms
 
 
 def percent(fraction: float) -> str:

@@ -43,9 +43,9 @@ MIN_NEW_DRIVE_SILENCE = 900.0
 LINES = frozenset({Role.SPEED, Role.WHEEL_SPEEDS, Role.ENGINE_POWER, Role.ENGINE_TORQUE, Role.TORQUE_FRACTION})
 MIN_INTERVALS, MAX_FIRST = 3, 100  # readings that show how often a signal comes
 NO_TIMES = np.empty(0)
-# s, start of 2011: before it a clock is not set, and the downtime unknown. Clocks that were never set start in 1970
-# (POSIX), in 1980 (GPS), or on the first day of 2000 or 2010 (usual defaults of real-time clocks).
-MIN_SET_CLOCK = 1_293_840_000.0
+# Before it a clock is not set, and the downtime unknown. Clocks that were never set start in 1970 (POSIX), in 1980
+# (GPS), or on the first day of 2000 or 2010 (usual defaults of real-time clocks).
+MIN_SET_CLOCK = 1_293_840_000.0  # s, start of 2011
 
 
 @dataclass(frozen=True, slots=True)

@@ -295,8 +295,8 @@ def test_a_fleet_of_tables_counts_the_logs_of_frames_beside_them(
     """And not what an earlier run has left in its folder."""
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     written_table(steady(), tmp_path / "van" / "a.csv")
-    for other in ("truck/drive.blf", "truck/drive.asc", "van/notes.md", "out/earlier.log"):
-        (tmp_path / other).parent.mkdir(exist_ok=True)
+    for other in ("truck/drive.blf", "truck/drive.asc", "van/notes.md", "out/exports/earlier.log"):
+        (tmp_path / other).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / other).write_text("anything")
     assert main(["fleet", str(tmp_path), "-o", str(tmp_path / "out"), *MAP, "--json"]) == 0
     out, err = capsys.readouterr()

@@ -117,6 +117,13 @@ def test_a_terminal_without_a_cursor_gets_lines(environment: dict[str, str]) -> 
     assert terminal.file.getvalue() == "opening\nfinished\n"  # type: ignore[attr-defined]
 
 
+def test_a_pipe_that_is_said_to_be_interactive_gets_lines() -> None:
+    pipe = Console(file=io.StringIO(), force_terminal=False, _environ={"TTY_INTERACTIVE": "1"})
+    with display(pipe, without_news("drive.blf", "opening", ""), None):
+        pass
+    assert pipe.file.getvalue() == "opening\n"  # type: ignore[attr-defined]
+
+
 def test_a_screen_shows_a_log_that_ends_at_once() -> None:
     terminal = terminal_of({"TERM": "xterm"})
     with display(terminal, without_news("drive.blf", "opening", ""), None):

@@ -231,7 +231,9 @@ def test_an_altitude_that_the_force_and_a_grade_contradict_is_left_out(drive):
     assert found.road.contradicted == ("altitude",)
     assert found.mass == alone.mass
     assert away(found) < 0.01
-    assert "shown by grade; altitude contradicted by it and left out" in road(summary.road(found))
+    assert "shown by grade; altitude left out: the force and the other signals contradict it" in road(
+        summary.road(found)
+    )
 
 
 def test_by_the_force_alone_no_signal_is_left_out(drive):

@@ -52,7 +52,7 @@ SUFFIXES = tuple(READERS)
 TIMES = ("time", "t", "timestamp", "seconds", "secs", "elapsed", "time_s", "t_s", "date", "datetime")
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
 MAX_STEP = 2.0  # s between rows in the median: slower ones show no change of speed that a force made
-SAME_TIME = "row at the time of the one before"
+SAME_TIME = "row with a second value at its time"
 
 
 class TableLog(Log):
