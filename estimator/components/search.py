@@ -85,6 +85,7 @@ class Search:
         self._drives, self._effects, self._earlier_terms = drives, effects, earlier_terms or EarlierTerms()
         self._given = [drive.chosen for drive in drives]
         self._candidates = CandidateTerms(effects, self._given, self._earlier_terms)
+        self._left_out = set[str]()  # names of effects that made all rounds from one start impossible
 
     @cached_property
     def _first_round(self) -> _Round:
@@ -198,9 +199,10 @@ class Search:
         _OutOfReachError
             The search is not expected to reach ``min_log_posterior``; see `_Round.expected_log_posterior`.
         """
-        best, left_out = None, set[str]()
+        best, left_out = None, self._left_out - {term.name for state in states for term in state.chosen}
         while best is None:  # effects that make every round impossible are left out
             best = self._best_round(states, with_processes, with_stretches, min_log_posterior, left_out)
+        self._left_out |= left_out
         for number, state in enumerate(best.states):
             self._earlier_terms.add_drive(number, state)
         chosen = best.space.without_small_gains(best.chosen)
