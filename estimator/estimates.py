@@ -75,7 +75,7 @@ class LoadChange:
     after: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Road:
     """Slopes of the road by the model.
 

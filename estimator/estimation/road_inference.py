@@ -437,4 +437,10 @@ def _advice(name: str, found: RoadFit) -> str:
 def _road(found: RoadFit) -> Road:
     """The road of an estimate."""
     climbed = found.climbed if found.scales.readings else None
-    return Road(found.slope_sd, found.slope_length, found.scales.readings, climbed, found.contradicted)
+    return Road(
+        slope_sd=found.slope_sd,
+        length=found.slope_length,
+        shown_by=found.scales.readings,
+        climbed=climbed,
+        contradicted=found.contradicted,
+    )

@@ -209,14 +209,15 @@ def ladder(d: Diagnosis) -> list[tuple[str, float]]:
 
 
 def closes(d: Diagnosis, effect: Finding) -> str:
-    """What a named ``effect`` takes away: its share of the gap, and what it takes off the residual beside others.
+    """Share of the gap that a named ``effect`` closes, and the fall of the residual beside those named before it.
 
-    What several effects take together is split evenly. So an effect may have no share although the residual falls.
+    What several effects take together is split evenly. So an effect may have no share although the residual falls. The
+    fall by the first one alone is not repeated here.
     """
     steps = ladder(d)
     name = _step_name(effect)
     number = next((i for i, (step, _) in enumerate(steps) if step == name), 0)
-    (_, before), (_, after) = steps[number - 1 : number + 1] if number else [("", 0.0)] * 2
+    (_, before), (_, after) = steps[number - 1 : number + 1] if number > 1 else [("", 0.0)] * 2
     is_less = after < before and kilowatts(after) != kilowatts(before)
     falls = f"takes the residual from {kilowatts(before)} to {kilowatts(after)}" if is_less else ""
     share = "" if effect.gap_closed is None else f"closes {interval(effect.gap_closed)} of the gap"
