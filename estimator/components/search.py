@@ -228,8 +228,9 @@ class Search:
         value = highest
         for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
             is_first = states is self._drives and not (with_processes or with_stretches or left_out)
-            again = (states, size, with_processes, with_stretches, left_out)
-            latest = self._first_round if is_first else self._round(*again)
+            latest = (
+                self._first_round if is_first else self._round(states, size, with_processes, with_stretches, left_out)
+            )
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
             previous, value = value, latest.log_posterior

@@ -52,7 +52,6 @@ from estimator.strides import DURATION, LAGS, Strides
 # Factor by which the window must grow before the scales of road and noise are searched again. Searched in every update,
 # three drives of 40 min took 1.6 times as much processor time, and their masses moved by at most 0.14 sd.
 MIN_GROWTH = 1.5
-MIN_GROWTH_OF_SIGNALS = 3.0  # the same for comparing signals of the road: with two it takes four climbs
 # Limits of a fit that describes the drive; in brackets the worst of five simulated drives and of seven of a BMW i3.
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.014, 0.024)
@@ -212,8 +211,11 @@ class RoadInference:
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        signals, is_new = tuple(shown_by(strides)), _has_changed(held, self._compared, MIN_GROWTH_OF_SIGNALS)
-        if signals != self._signals or (is_new and not self._contradicted):
+        signals, is_due = (
+            tuple(shown_by(strides)),
+            _has_changed(held, self._compared, MIN_GROWTH**3),
+        )  # each third search
+        if signals != self._signals or (is_due and not self._contradicted):
             self._signals, self._compared, limit = signals, held, self._config.kinematics.maximum_lag_s
             self._contradicted = contradicted(strides, lambda seen: search_of(seen, (), limit, self._departures))
         strides = strides.without(self._contradicted)

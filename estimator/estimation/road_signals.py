@@ -29,8 +29,6 @@ from estimator.strides import Strides
 
 MIN_LOG_BF = 8.0  # of both, as for a place where the vehicle turns; 27 of 27 trips of the BMW i3 exceed them
 
-USUAL = np.array([scale.centre for scale in SCALES])  # noise of the power is in all of these models
-
 SearchOf = Callable[[Strides], Search | None]
 
 
@@ -56,12 +54,14 @@ def _most_contradicted(strides: Strides, search_of: SearchOf) -> str:
     if len(names) < 2 or search_of(strides) is None:
         return ""
 
+    usual = [scale.centre for scale in SCALES]  # noise of the power is in all of these models
+
     def on_one_road(without: list[str], worth: float = -np.inf) -> tuple[Likelihood, Floats, float]:
         """Likelihood, most probable scales and log evidence, where that is above ``worth``."""
         search = search_of(strides.without(without))
         assert search is not None  # signals of the road are not what it takes
         centre = search.central(level=False)
-        start = replace(centre, values=np.append(USUAL, centre.values[len(SCALES) :]))
+        start = replace(centre, values=np.append(usual, centre.values[len(SCALES) :]))
         likelihood = search.likelihood(start)
         return likelihood, *most_probable(likelihood, start.values, start.free, worth)
 
@@ -86,8 +86,8 @@ def _alone(strides: Strides, name: str, hidden: Likelihood, scales: Floats) -> f
     start = np.append(scales[: len(SCALES)], [scale.centre for scale in SIGNAL_SCALES[name]])
     level = RoadScales(values=start, alpha=LEVEL, wander=ROUGH, readings=(name,), lag=hidden.lag)
 
-    def likelihood(level: RoadScales, shown: Strides) -> Likelihood:
-        return Likelihood(level.model_of(shown), (), hidden.road_load, level.lag)
+    def likelihood(scales: RoadScales, shown: Strides) -> Likelihood:
+        return Likelihood(scales.model_of(shown), (), hidden.road_load, hidden.lag)
 
     seen, own = strides.without([other for other in SIGNALS if other != name]), range(len(SCALES), len(start))
     wanders = (replace(level, wander=wander) for wander in (ROUGH, SMOOTH))
