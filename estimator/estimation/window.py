@@ -15,6 +15,7 @@ from estimator.strides import Strides
 MIN_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins; lower values fall into its first cells
 SPEED_CELLS = 64  # of `gate.speed_step_m_s`: up to 160 m/s by default
 ACCELERATION_CELLS = 64  # of `gate.acceleration_step_m_s2`: up to 5.4 m/s^2 by default
+KEPT = 0.9  # of a limit that is exceeded: what is fitted stays the same for a while, and fits go on from it
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ Cells = tuple[NDArray[np.int64], NDArray[np.int64]]  # places on the grid, and h
 class Window:
     """Holds at most ``config.window.samples`` rows, none older than ``config.window.hours``.
 
-    When it is full, the block whose rows lie in the fullest cells goes first, so hours of cruising do not push out
-    the few accelerations that identify the mass.
+    When it is full, a tenth of it is forgotten: the block whose rows lie in the fullest cells goes first, so hours of
+    cruising do not push out the few accelerations that identify the mass.
 
     Parameters
     ----------
@@ -65,7 +66,8 @@ class Window:
         self._empty()
 
     def _empty(self) -> None:
-        self._content = Strides.none()  # of all blocks: hundreds of small ones are mostly overhead
+        self._content = [Strides.none()]  # of all blocks, joined when they are asked for
+        self._begins = np.empty(0)  # [s] of each block
         self._lengths, self._cell_lengths = np.zeros((2, 0), dtype=np.int64)  # of each block
         self._places, self._rows = np.zeros((2, 0), dtype=np.int64)  # cells, and how many rows each stands for
         self._counts = np.zeros(self.grid.size, dtype=np.int64)  # rows
@@ -76,7 +78,9 @@ class Window:
     @property
     def strides(self) -> Strides:
         """Everything in the window, oldest first."""
-        return self._content
+        if len(self._content) > 1:
+            self._content = [Strides.concatenate([part for part in self._content if len(part)])]
+        return self._content[0]
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -87,8 +91,8 @@ class Window:
         """Add a block of consecutive driving, and evict blocks beyond the capacity or the age limit."""
         if not len(block):
             return
-        self._content = Strides.concatenate([self._content, block]) if len(self._content) else block
-        self._lengths = np.append(self._lengths, len(block))
+        self._content.append(block)
+        self._begins, self._lengths = np.append(self._begins, block.t[0]), np.append(self._lengths, len(block))
         self._count(self._place(block.cells))
         self._evict(float(block.t[-1]))
 
@@ -100,18 +104,28 @@ class Window:
         self.added += int(rows.sum())
 
     def _evict(self, newest: float) -> None:
-        first = np.cumsum(self._lengths) - self._lengths
-        self.evicted += self._keep(newest - self._content.t[first] <= self._longest)
-        while len(self) > self._capacity:
-            self.evicted += self._keep(np.arange(len(self._lengths)) != np.argmax(self._fullness()))
+        age = newest - self._begins
+        if age[0] > self._longest:
+            self.evicted += self._keep(age <= KEPT * self._longest)
+        if len(self) > self._capacity:
+            self.evicted += self._keep(self._rarest(KEPT * self._capacity))
 
-    def _fullness(self) -> Floats:
-        """Mean count of the cells of each block's rows (blocks,); 0 for one without cells, which is evicted last."""
-        count = len(self._lengths)
-        block = np.repeat(np.arange(count), self._cell_lengths)
+    def _rarest(self, allowed: float) -> Mask:
+        """Blocks (blocks,) of at most ``allowed`` rows that are left when the fullest ones are forgotten in turn.
+
+        Fullness is the mean count of the cells of a block's rows; a block without cells goes last.
+        """
+        count, counts = len(self._lengths), self._counts.copy()
+        kept, block = np.ones(count, dtype=bool), np.repeat(np.arange(count), self._cell_lengths)
         total = np.bincount(block, self._rows, count)
-        filled = np.bincount(block, self._counts[self._places] * self._rows, count)
-        return np.divide(filled, total, out=np.zeros(count), where=total > 0)
+        while counts.sum() > allowed:
+            filled = np.bincount(block, counts[self._places] * self._rows, count)
+            fullness = np.divide(filled, total, out=np.zeros(count), where=total > 0)
+            fullest = int(np.argmax(np.where(kept, fullness, -1.0)))
+            kept[fullest] = False
+            cells = block == fullest
+            counts -= self._counted(self._places[cells], self._rows[cells])
+        return kept
 
     def _place(self, cells: tuple[Floats, Floats, NDArray[np.int64]]) -> Cells:
         speed, acceleration, rows = cells
@@ -125,15 +139,16 @@ class Window:
         if kept.all():
             return 0
         before, cells = len(self), np.repeat(kept, self._cell_lengths)
-        self._content = self._content[np.repeat(kept, self._lengths)]
+        self._content = [self.strides[np.repeat(kept, self._lengths)]]
         self._places, self._rows = self._places[cells], self._rows[cells]
-        self._lengths, self._cell_lengths = self._lengths[kept], self._cell_lengths[kept]
+        self._begins, self._lengths = self._begins[kept], self._lengths[kept]
+        self._cell_lengths = self._cell_lengths[kept]
         self._counts = self._counted(self._places, self._rows)
         return before - len(self)
 
     def forget_before(self, t: float) -> None:
         """Forget the blocks that end before time ``t`` [s]."""
-        self._keep(self._content.t[np.cumsum(self._lengths) - 1] >= t)
+        self._keep(self.strides.t[np.cumsum(self._lengths) - 1] >= t)
 
     def clear(self) -> None:
         """Forget everything, as after a change of vehicle or an unexplained step in time."""
@@ -142,7 +157,7 @@ class Window:
     def state(self) -> dict[str, Any]:
         """The state that `restore` reads."""
         return {
-            "strides": self._content.state(),
+            "strides": self.strides.state(),
             "lengths": self._lengths,
             "added": self.added,
             "evicted": self.evicted,
@@ -163,7 +178,7 @@ class Window:
         self._empty()
         for start, end in zip((ends - lengths).tolist(), ends.tolist(), strict=True):
             self._count(self._place(content[start:end].cells))
-        self._content, self._lengths = content, lengths
+        self._content, self._begins, self._lengths = [content], content.t[ends - lengths], lengths
         self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)
         if len(self) > self._capacity:
             raise StateError(f"window: {len(self)} rows where {self._capacity} are the most")
