@@ -108,11 +108,16 @@ class Rows:
         )
 
 
-def over_mean(density: Floats) -> Floats:
-    """A density (n,) over its mean [1]; 1 where it is not known."""
+def mean_density(density: Floats) -> float:
+    """Mean of the known values of a density (n,); 1 where none is."""
     known = np.isfinite(density)
-    mean = density[known].mean() if known.any() else 1.0
-    return np.where(known, density / mean, 1.0)
+    return float(density[known].mean()) if known.any() else 1.0
+
+
+def over_mean(density: Floats, mean: float | None = None) -> Floats:
+    """A density (n,) over a ``mean`` [1], by default its own; 1 where it is not known."""
+    mean = mean_density(density) if mean is None else mean
+    return np.where(np.isfinite(density), density / mean, 1.0)
 
 
 def _joined(parts: Sequence[tuple[Mapping[K, Floats], int]]) -> dict[K, Floats]:

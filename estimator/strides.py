@@ -64,12 +64,15 @@ class Strides:
         return 0.5 * (self.v0 + self.v1)
 
     @property
-    def filled_gearing(self) -> Floats:
-        """Gearing [rad/m] (n,), by the median engine speed where the engine's is not known; 1/v where none is."""
+    def usual_turns(self) -> float:
+        """Median of the known engine speeds [rad/s]; 1 where none is."""
         turns = self.gearing * self.speed
         there = np.isfinite(turns)
-        usual = np.median(turns[there]) if there.any() else 1.0
-        return np.where(there, self.gearing, usual / self.speed)
+        return float(np.median(turns[there])) if there.any() else 1.0
+
+    def filled_gearing(self, turns: float) -> Floats:
+        """Gearing [rad/m] (n,), by the engine speed ``turns`` [rad/s] where the engine's is not known."""
+        return np.where(np.isfinite(self.gearing * self.speed), self.gearing, turns / self.speed)
 
     @property
     def power(self) -> Floats:

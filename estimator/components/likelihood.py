@@ -87,7 +87,7 @@ class JointLikelihood(SetLikelihood):
         mass, (changed, by_force) = 1 / float(fit.beta[0]), self._change_by_force
         total = np.zeros((len(self.unit), len(self.unit)))
         total[np.ix_(changed, changed)], of_rate = self.conditioned.torque_noise(mass * by_force)
-        total[LAG, LAG] = (mass / self.unit[LAG]) ** 2 * of_rate
+        total[LAG, LAG] = (mass / self.unit[LAG]) ** 2 * of_rate.sum()
         return total
 
     def _driver_correction(self, base: Likelihood, fit: RoadFit) -> Floats:

@@ -197,7 +197,7 @@ def _part(state: DriveState, previous: Strides, manoeuvre: Manoeuvre, number: in
     v, a = 0.5 * (v0 + v1), (v1 - v0) / DURATION
     ends = s + np.concatenate([[0.0], np.cumsum(v * DURATION)])
     order = np.argsort(strides.speed)
-    gearing = factor * np.interp(v, strides.speed[order], strides.filled_gearing[order])
+    gearing = factor * np.interp(v, strides.speed[order], strides.filled_gearing(strides.usual_turns)[order])
     force, unknown, times = A + C * v**2 + m * a, np.full(n, np.nan), t + DURATION * (np.arange(n) + 0.5)
     driven_context = {
         Quantity.ENGINE_SPEED: gearing * v,

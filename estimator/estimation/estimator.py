@@ -105,7 +105,7 @@ class Estimator:
         for piece in self._stage.finish():
             yield from self._take(piece)
         self._road.finish()
-        yield self._conclude(end)
+        yield self._conclude(end, is_last=True)
 
     def forget(self, vehicle: bool = False) -> None:
         """Start a new window: another drive follows, perhaps with another load.
@@ -171,7 +171,7 @@ class Estimator:
         if piece.departs:
             departure = float(piece.rows.t[0])
             if self._has_news:
-                yield self._conclude(departure)
+                yield self._conclude(departure, is_last=True)
             self._start_segment(departure)
         self._scale.add(piece.rows)
         self.window.add(piece.strides)
@@ -202,11 +202,11 @@ class Estimator:
         self._latest = None
         self._at_last = self.window.added
 
-    def _conclude(self, t: float) -> Estimate:
+    def _conclude(self, t: float, is_last: bool = False) -> Estimate:
         context = self._stage.wanted or frozenset()
         before = self._inference.state()
         try:
-            self._latest = self._inference.conclude(t, context, self._scale, self.rejected)
+            self._latest = self._inference.conclude(t, context, self._scale, self.rejected, is_last)
         except NUMERICAL_ERRORS as error:
             self._inference.recover(before)
             self.failed_updates += 1

@@ -40,7 +40,7 @@ from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood, limited
 from estimator.model.linear_gaussian import Places
 from estimator.model.road_scales import TORQUE
 from estimator.model.road_score import average_information, changed_by_scales
-from estimator.signals import Floats, Quantity
+from estimator.signals import Floats, Mask, Quantity
 from estimator.strides import DURATION
 
 MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction is added as sd (BMW i3: 0.13)
@@ -51,6 +51,42 @@ COARSE_SHARE, COARSE_SD = 0.5, 1.0
 # 0.6 s, have 1.09 +- 0.05; a speed trace that is followed exactly has 1, a constant pedal 0.
 DRIVER_FEEDBACK, DRIVER_FEEDBACK_SD = 1.0, 0.4
 MAX_DRIVER_CORRECTION = 0.3  # largest relative change of 1/m by the drivers' response: the correction is of first order
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corrections:
+    """Sums over strides that the equations are corrected with.
+
+    ``noise`` (q, q) is the part of the products of the regressors that is noise, for a mass of 1 kg; ``driver_bias``
+    (q,) are the moments lost if drivers respond to slopes in full, times 1/m; ``present`` is the number of strides of
+    the present load.
+    """
+
+    noise: Floats
+    driver_bias: Floats
+    present: int
+
+    @classmethod
+    def of(cls, likelihood: Likelihood, scales: Floats, shapes: Floats, counted: Mask) -> "Corrections":
+        """Sums over the ``counted`` (n,) of the driven strides, with ``shapes`` (n, k) of changes."""
+        conditioned, _ = likelihood.at(scales)
+        by_force = likelihood.by_force(shapes) * counted[:, None]
+        noise = likelihood.noise_information(conditioned, by_force)
+        if Quantity.SPEED_STEP in likelihood.model.strides.context:
+            noise *= COARSE_SHARE
+        return cls(
+            noise=noise,
+            driver_bias=float(likelihood.unit[0]) * conditioned.leverage @ by_force,
+            present=int(np.count_nonzero(shapes.any(axis=1) & counted)),
+        )
+
+    def __add__(self, other: "Corrections") -> "Corrections":
+        """Sums over the strides of both."""
+        return Corrections(
+            noise=self.noise + other.noise,
+            driver_bias=self.driver_bias + other.driver_bias,
+            present=self.present + other.present,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,31 +123,43 @@ class NormalEquations:
         conditioned, plain = likelihood.at(scales)
         data = likelihood.with_changes(shapes)
         beta, information, _ = likelihood.solve(plain)
-        by_force = likelihood.by_force(shapes)
-        q = data.shape[1] - 1
-        found = cls(
+        q, p = data.shape[1] - 1, len(beta)
+        blank = cls(
             gram=plain,
-            noise=likelihood.noise_information(conditioned, beta, by_force),
-            driver_bias=float(likelihood.unit[0]) * conditioned.leverage @ by_force,
+            noise=np.zeros((q, q)),
+            driver_bias=np.zeros(q),
             moved=np.zeros((q, 0)),
             noise_moved=np.zeros(0),
             prior=np.diag(likelihood.prior),
             unit=likelihood.unit,
-            present=int(np.count_nonzero(shapes.any(axis=1))),
+            present=0,
         )
-        if Quantity.SPEED_STEP in likelihood.model.strides.context:
-            found = replace(found, noise=COARSE_SHARE * found.noise)
-        residual = data[:, 0] - data[:, 1 : 1 + len(beta)] @ found.solve()[0]
+        found = blank.with_sums(plain, beta, Corrections.of(likelihood, scales, shapes, np.ones(len(shapes), bool)))
+        residual = data[:, 0] - data[:, 1 : 1 + p] @ found.solve()[0]
         changed = changed_by_scales(conditioned, scales, residual)[:, free]
         products = conditioned.gram(np.column_stack([data, changed]))
         moments = products[1 : 1 + q, 1 + q :]
-        of_scales = average_information(products[1 + q :, 1 + q :], moments[: len(beta)], information)
+        of_scales = average_information(products[1 + q :, 1 + q :], moments[:p], information)
         spread = np.array([likelihood.model.scales[i].spread for i in free])
         root, noise_moved = _scale_doubt(of_scales + np.diag(spread**-2.0), scales, free, power_chance)
         moved = -moments @ root
         if Quantity.SPEED_STEP in likelihood.model.strides.context:
             moved, noise_moved = np.column_stack([moved, np.zeros(q)]), np.append(noise_moved, COARSE_SD)
         return replace(found, gram=products[: 1 + q, : 1 + q], moved=moved, noise_moved=noise_moved)
+
+    def with_sums(self, gram: Floats, beta: Floats, corrections: Corrections) -> "NormalEquations":
+        """The equations of other strides, with the same uncertainty of the scales.
+
+        ``beta`` (p,) are the coefficients that solve the ``gram`` matrix without corrections.
+        """
+        mass = float(self.unit[0] / beta[0])
+        return replace(
+            self,
+            gram=gram,
+            noise=mass**2 * corrections.noise,
+            driver_bias=corrections.driver_bias,
+            present=corrections.present,
+        )
 
     def solve(
         self, change: int | None = None, precision: Sequence[float] | Floats = ()

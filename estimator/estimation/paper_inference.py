@@ -81,10 +81,13 @@ class PaperInference:
         self.restore(state)
         self.evidence = None
 
-    def conclude(self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str]) -> Estimate:
+    def conclude(
+        self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str], is_last: bool
+    ) -> Estimate:
         """Return the estimate at time ``t`` [s].
 
-        ``context`` is not used; ``scale`` compares the speed with other signals; ``rejected`` rows by reason.
+        ``context`` and ``is_last`` are not used; ``scale`` compares the speed with other signals; ``rejected`` rows by
+        reason.
         """
         self.evidence = None
         driven = self._window.strides[self._window.strides.known]

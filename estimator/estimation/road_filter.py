@@ -29,9 +29,10 @@ from estimator.estimation.road_likelihood import LAG, PLAIN, columns, taken_by
 from estimator.lean_import import import_lean
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import START_HEIGHT_SD
-from estimator.model.road_nodes import BEND, MAX_BRIDGE, SLOWEST, SPACING, Nodes, Reading, warping
+from estimator.model.road_nodes import BEND, MAX_BRIDGE, SLOWEST, SPACING, ErrorScale, warping
 from estimator.model.road_scales import DISTURBANCE, LENGTH, POWER, SCALES, SLOPE, SPEED, TORQUE
 from estimator.model.state_space import passage, rate, stationary
+from estimator.samples import over_mean
 from estimator.signals import Floats
 from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -43,8 +44,7 @@ MOST_COUNTED = 10.0  # readings near a node that count, as in `RoadModel.varianc
 class Signal:
     """Signal of the road: sd of white ``noise``; ``sd`` and ``rate`` [1/s] of its wander, at ``places`` of the state.
 
-    ``offsets`` are the indices of its constant errors among the coefficients; the second is proportional to the squared
-    speed over ``mean_square`` [m^2/s^2]. An altitude is relative to ``origin`` [m].
+    ``offsets`` are the indices of its constant ``errors`` among the coefficients.
     """
 
     name: str
@@ -53,8 +53,7 @@ class Signal:
     rate: float
     places: slice
     offsets: tuple[int, ...]
-    mean_square: float
-    origin: float
+    errors: ErrorScale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,17 +102,9 @@ class RoadFilter:
         self, fit: RoadFit, strides: Strides, begin: int = 0, height: tuple[float, float] = (0.0, 0.0)
     ) -> None:
         scales = fit.scales
-        self._fit, self._alpha = fit, scales.alpha
-        driven = fit.strides
-        turns = driven.gearing * driven.speed
-        known = turns[np.isfinite(turns)]
-        self._usual_turns = float(np.median(known)) if len(known) else 1.0  # rad/s
-        self._usual_gearing = float(np.median(driven.filled_gearing))
-        self._usual_speed = float(np.median(driven.speed))
-        dense = driven.density[np.isfinite(driven.density)]
-        self._usual_density = float(dense.mean()) if len(dense) else 1.0
+        self._fit, self._alpha, self._usual = fit, scales.alpha, fit.references
         self._sd, self._rate = float(scales.values[SLOPE]), rate(self._alpha, float(scales.values[LENGTH]))
-        self._lay_out(strides)
+        self._lay_out()
         self._ends()
         self._kalman: Any = import_lean("filterpy.kalman", deferring=["filterpy.stats"]).KalmanFilter(self._size, 1)
         self._kalman.inv = np.reciprocal  # of the variance of one observation
@@ -123,31 +114,27 @@ class RoadFilter:
         self.heights: list[tuple[float, float, float]] = []
         self.follow(strides[begin:], fit.departures)
 
-    def _lay_out(self, strides: Strides) -> None:
+    def _lay_out(self) -> None:
         """Assign the indices of the state's parts, and of the offsets among the coefficients."""
-        fit, nodes = self._fit, Nodes.under(strides)
-        size = self._alpha + 1
+        fit, size = self._fit, self._alpha + 1
         self._has_altitude = "altitude" in fit.scales.readings
         size += self._has_altitude
-        readings = [Reading.of(name, strides, nodes) for name in fit.scales.readings]
-        offsets = [0 if reading is None else reading.offsets.shape[1] for reading in readings]
-        self._loads_end = at = len(fit.beta) - len(fit.terms) - sum(offsets)  # among the coefficients
+        errors = [self._usual.errors[name] for name in fit.scales.readings]
+        self._loads_end = at = len(fit.beta) - len(fit.terms) - sum(each.number for each in errors)  # among them
         self._signals = []
-        for i, (reading, number) in enumerate(zip(readings, offsets, strict=True)):
-            assert reading is not None
+        for i, (name, error) in enumerate(zip(fit.scales.readings, errors, strict=True)):
             noise, sd, time = fit.scales.values[len(SCALES) + 3 * i :][:3].tolist()
             signal = Signal(
-                name=reading.name,
+                name=name,
                 noise=noise,
                 sd=sd,
                 rate=rate(fit.scales.wander, time),
                 places=slice(size, size + fit.scales.wander),
-                offsets=tuple(range(at, at + number)),
-                mean_square=reading.mean_square,
-                origin=float(reading.values[0]) if reading.name == "altitude" else 0.0,
+                offsets=tuple(range(at, at + error.number)),
+                errors=error,
             )
             self._signals.append(signal)
-            size, at = size + fit.scales.wander, at + number
+            size, at = size + fit.scales.wander, at + error.number
         self._first_end, self._size = size, size + 2 * (2 + fit.scales.has_power)
 
     def _ends(self) -> None:
@@ -222,8 +209,7 @@ class RoadFilter:
         Strides without an earlier load have zeros in its column.
         """
         fit, terms = self._fit, self._fit.terms
-        density = driven.density / self._usual_density
-        density = np.where(np.isfinite(density), density, 1.0)
+        density = over_mean(driven.density, self._usual.density)
         force, load = driven.force[:, fit.scales.lag], fit.road_load
         taken = taken_by(driven, force, load, terms, fit.theta[LAG + 1 :], density) if terms else 0.0
         own = columns(driven, fit.scales.lag, terms, load, departures, taken, density)
@@ -236,9 +222,8 @@ class RoadFilter:
 
     def _shares(self, driven: Strides) -> Floats:
         """Factors (k, n) of the noises of torque and, if in the model, power in each stride's acceleration."""
-        turned = np.isfinite(driven.gearing)
-        gearing = np.where(turned, driven.gearing, self._usual_turns / driven.speed)
-        shares: Floats = np.array([gearing / self._usual_gearing, self._usual_speed / driven.speed])
+        gearing = driven.filled_gearing(self._usual.turns)
+        shares: Floats = np.array([gearing / self._usual.gearing, self._usual.speed / driven.speed])
         return shares[: len(self._noises)]
 
     def _readings(self, signal: Signal, strides: Strides, length: Floats) -> tuple[Floats, Floats, Floats]:
@@ -250,9 +235,11 @@ class RoadFilter:
         if signal.name == "gravity":
             variances = variances + near * (BEND / squares) ** 2
         shapes = np.zeros((len(strides), len(self._fit.beta)))
-        for place, shape in zip(signal.offsets, (np.ones(len(strides)), squares / signal.mean_square), strict=False):
+        for place, shape in zip(
+            signal.offsets, (np.ones(len(strides)), squares / signal.errors.mean_square), strict=False
+        ):
             shapes[:, place] = np.where(np.isfinite(shape), shape, 1.0)
-        return values - signal.origin - shapes @ self._fit.beta, variances, shapes
+        return values - signal.errors.origin - shapes @ self._fit.beta, variances, shapes
 
     def _predict(self, t: float, middle: float, factor: float, known: bool) -> None:
         """Predict the state at the next stride, or set its prior at the first one."""

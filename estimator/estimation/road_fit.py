@@ -13,12 +13,15 @@ import numpy as np
 
 from estimator.estimation.form_doubt import with_doubt_of_effects, with_doubt_of_form
 from estimator.estimation.normal_equations import NormalEquations
+from estimator.estimation.past import SHORTEST, Past
+from estimator.estimation.road_found import RoadFound
 from estimator.estimation.road_likelihood import LAG, Likelihood, shapes_of, taken_by
 from estimator.estimation.road_search import RoadScales, Search, first_guess, scaled_by
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import AtRest
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import LEVEL
+from estimator.model.road_nodes import References
 from estimator.model.road_scales import LENGTH, SLOPE
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
@@ -36,9 +39,10 @@ class RoadFit:
     beta: Floats  # (p,)
     covariance: Floats  # (p, p), with the uncertainties of corrections, scales and form
     scales: RoadScales
-    log_evidence: float  # includes the prior of the scales, if these were searched for
+    log_evidence: float  # with the prior of the scales, if these were searched for; NaN where a past is fitted on
     terms: tuple[EffectTerm, ...]
     strides: Strides  # those with a known force
+    references: References  # of the strides or of an earlier part of them: scales and coefficients are relative to them
     fitted: Floats  # (n,) acceleration of the model, with the road [m/s^2]
     slope: Floats  # (n,) posterior mean of the slope [1] at the strides
     slope_sd: float  # expected sd of the slope along this road [1]; the sd of its process is among the scales
@@ -179,12 +183,23 @@ def fit(
         Measured power while the vehicle stood.
     """
     search = search_of(strides, terms, longest_lag, departures)
-    if search is None:
-        return None
+    return None if search is None else _concluded(*_searched(search, strides, known, level), rests)
+
+
+def most_probable_scales(strides: Strides, known: RoadScales | None, longest_lag: float) -> RoadScales | None:
+    """Return the scales that `fit` finds without effects, under one load."""
+    search = search_of(strides, (), longest_lag)
+    return None if search is None else _searched(search, strides, known, level=False)[1]
+
+
+def _searched(
+    search: Search, strides: Strides, known: RoadScales | None, level: bool
+) -> tuple[Likelihood, RoadScales, float]:
+    """Return the outcome of a search that starts from the ``known`` scales where these are of the same signals."""
     if known is not None:
         here = tuple(place for place in known.turns if strides.s0[0] < place[1] and place[0] < strides.s1[-1])
         known = replace(known, turns=here) if known.readings == search.model(known).reading_names else None
-    return _concluded(*search.best(known, level), rests)
+    return search.best(known, level)
 
 
 def fit_given(
@@ -259,22 +274,55 @@ def _concluded(
     with_changes: bool = True,
 ) -> RoadFit:
     """Return the fit at ``scales``: coefficients, their covariance with all uncertainties, and the road given them."""
-    model, unit = likelihood.model, likelihood.unit
-    conditioned, _ = likelihood.at(scales.values)
-    shapes = shapes_of(model.driven.t >= max(likelihood.departures, default=-np.inf))[:, : None if with_changes else 0]
+    present = likelihood.model.driven.t >= max(likelihood.departures, default=-np.inf)
+    shapes = shapes_of(present)[:, : None if with_changes else 0]
     equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes)
+    return _solved(likelihood, scales, evidence, rests, equations)
+
+
+def past_of(strides: Strides, scales: RoadScales) -> Past | None:
+    """Return the past that strides without effects have at ``scales``; None where they have none."""
+    search = search_of(strides) if np.count_nonzero(strides.known) >= SHORTEST else None
+    if search is None or search.model(scales).reading_names != scales.readings:
+        return None
+    return Past.of(search.likelihood(scales), scales)
+
+
+def fit_behind(past: Past, strides: Strides) -> RoadFit | None:
+    """Fit strides as `fit_given` does, from their past on; None where these do not fit together."""
+    likelihood = past.likelihood_behind(strides)
+    if likelihood is None:
+        return None
+    equations = past.equations_behind(likelihood)
+    return _solved(likelihood, past.scales, np.nan, (), equations, past, strides[strides.known])
+
+
+def _solved(
+    likelihood: Likelihood,
+    scales: RoadScales,
+    evidence: float,
+    rests: Sequence[AtRest],
+    equations: NormalEquations,
+    past: Past | None = None,
+    driven: Strides | None = None,
+) -> RoadFit:
+    """Return the fit that solves ``equations``, to the ``driven`` strides of the likelihood and of its past."""
+    model, unit = likelihood.model, likelihood.unit
     beta, covariance, _ = equations.solve()
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
     for rest in rests:
         beta, covariance, gain = _beside(rest, beta, covariance, likelihood.terms)
         evidence += gain
     covariance = with_doubt_of_effects(beta, covariance, len(likelihood.terms))
-    residual = likelihood.data[:, 0] - likelihood.data[:, 1:] @ (beta * unit)
-    n = len(model.driven)
-    at_nodes, slope = model.road(conditioned.unknowns(residual))
-    rises = 0.5 * (at_nodes[1:] + at_nodes[:-1]) * np.diff(model.nodes.s)
-    fitted = likelihood.data[:n, 1:] @ (beta * unit) - STANDARD_GRAVITY * slope
-    slope_doubt = float(np.sqrt(np.mean(conditioned.slope_variance)))
+    weights = np.append(1.0, -beta * unit)[:, None]
+    conditioned, _ = likelihood.at(scales.values)
+    road = RoadFound.of(likelihood, scales.values, weights, conditioned.means(likelihood.data, weights))
+    if past is not None:
+        road = past.road.followed_by(road, weights)
+    driven = model.driven if driven is None else driven
+    at_nodes, slope = road.slope[:, 0], road.under[:, 0]
+    rises = 0.5 * (at_nodes[1:] + at_nodes[:-1]) * np.diff(road.s)
+    slope_doubt = float(np.sqrt(np.mean(road.variance)))
     slope_sd = float(np.hypot(np.std(at_nodes), slope_doubt))
     covariance = with_doubt_of_form(beta, covariance, slope_sd, hidden=not scales.readings)
     return RoadFit(
@@ -283,12 +331,13 @@ def _concluded(
         scales=scales,
         log_evidence=evidence,
         terms=likelihood.terms,
-        strides=model.driven,
-        fitted=fitted,
+        strides=driven,
+        references=model.references,
+        fitted=driven.a - road.residual[:, 0] - STANDARD_GRAVITY * slope,
         slope=slope,
         slope_sd=slope_sd,
         slope_doubt=slope_doubt,
-        climbed=float(rises[model.nodes.joined[1:] & (rises > 0)].sum()),
+        climbed=float(rises[road.joined[1:] & (rises > 0)].sum()),
         equations=equations,
         departures=likelihood.departures,
     )

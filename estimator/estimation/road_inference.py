@@ -5,6 +5,7 @@ hills that no signal shows the mass is known long before A and C, so each parame
 """
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -30,7 +31,17 @@ from estimator.estimation.gain_changes import gain_changes
 from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_sign_of, wrong_unit_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
-from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit, fit, fit_given, search_of
+from estimator.estimation.past import Past
+from estimator.estimation.road_fit import (
+    MIN_INVERSE_MASS,
+    RoadFit,
+    fit,
+    fit_behind,
+    fit_given,
+    most_probable_scales,
+    past_of,
+    search_of,
+)
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
@@ -41,6 +52,7 @@ from estimator.estimation.usual_vehicles import Doubt, Size, unusual
 from estimator.estimation.window import Window
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import obstacle
+from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_nodes import SIGNALS
 from estimator.model.road_scales import POWER, SCALES, TORQUE
@@ -60,6 +72,7 @@ USUAL_LAG = 0.5  # s, between power and speed, may be more only where `kinematic
 LONGEST_LAG = float(LAGS.max()) + LAG_SD  # s, that the model can describe
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
 NOTHING_COVERED = Coverage(0, 0)
+NO_PAST = (0, 0.0)
 
 
 class Withheld(Protocol):
@@ -98,6 +111,8 @@ class RoadInference:
         self._signals: tuple[str, ...] = ()  # of the road, that were compared
         self._compared = 0  # rows in the window then
         self._contradicted: tuple[str, ...] = ()  # those left out, until there are others or another drive
+        self._past: Past | None = None  # of the strides, at the scales
+        self._kept = NO_PAST  # number of its strides, and the time [s] of the last one: it is made again from them
 
     def start_segment(self, departure: float | None = None) -> float | None:
         """Begin a new load at ``departure`` [s], None at the start of a drive: the present one becomes the one before.
@@ -108,7 +123,7 @@ class RoadInference:
         if departure is None and self._scales is not None:
             self._scales = replace(self._scales, turns=())  # of the road before
         self._loads.start_segment(kept)
-        self.evidence = None
+        self.evidence, self._past, self._kept = None, None, NO_PAST
         if departure is None or not kept:
             self._fitted, self._compared, self._departures, self._contradicted = 0, 0, (), ()
             return None
@@ -133,6 +148,7 @@ class RoadInference:
             "contradicted": list(self._contradicted),
             "signals": list(self._signals),
             "compared": self._compared,
+            "kept": self._kept,
         }
 
     def restore(self, state: State) -> None:
@@ -144,6 +160,7 @@ class RoadInference:
             The state is not that of an inference.
         """
         set_generator(self._rng, state, "generator")
+        self._past, self._kept = None, read(state, "kept", tuple[Count, float])
         self._loads.restore(substate(state, "loads"))
         self._scales = optional(state, "scales", _restored_scales)
         lost = tuple(map(_restored_scales, read(state, "lost", list[dict[str, Any]])))
@@ -169,11 +186,13 @@ class RoadInference:
         self.restore({**state, "scales": None, "fitted": 0, "compared": 0})
         self.evidence = None
 
-    def conclude(self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str]) -> Estimate:
+    def conclude(
+        self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str], is_last: bool
+    ) -> Estimate:
         """The estimate at time ``t`` [s].
 
         ``context`` that the strides carry; ``scale`` of the speed as the bus shows it; rows ``rejected`` before, by
-        reason.
+        reason. The last estimate before a gap or of a load is of the whole window, as a diagnosis has it.
         """
         self.evidence = None
         strides, held = self._window.strides, len(self._window)
@@ -194,7 +213,7 @@ class RoadInference:
             return withheld(reason + self._other_sign())
         if reason := wrong_unit_of(driven.power / driven.speed, driven.a, self._config.prior.mass_kg[0]):
             return withheld(reason, status=Status.INVALID)
-        found = self._fit(strides, held)
+        found = self._fit(strides, held, is_last)
         if found is None:
             return withheld("speed and acceleration varied too little to tell A, C and m apart")
         if reason := self._undetermined(found):
@@ -209,21 +228,22 @@ class RoadInference:
         estimate = self._judge(t, found, conflict, withheld)
         return replace(estimate, doubt=doubt.sentence) if estimate.status is Status.ESTIMATED else estimate
 
-    def _fit(self, strides: Strides, held: int) -> RoadFit | None:
+    def _fit(self, strides: Strides, held: int, is_last: bool) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        signals, is_due = (
-            tuple(shown_by(strides)),
-            _has_changed(held, self._compared, MIN_GROWTH**3),
-        )  # each third search
+        signals = tuple(shown_by(strides))
+        is_due = _has_changed(held, self._compared, MIN_GROWTH**3)  # each third search
         if signals != self._signals or (is_due and not self._contradicted):
             self._signals, self._compared, limit = signals, held, self._config.kinematics.maximum_lag_s
             self._contradicted = contradicted(strides, lambda seen: search_of(seen, (), limit, self._departures))
+            self._past, self._kept = None, NO_PAST  # it may have other signals
         strides = strides.without(self._contradicted)
         terms = terms_of(
-            strides, self._effects, lambda: self._fitted_beside(strides, (), self._scales, is_search=False)
+            strides, self._effects, lambda: self._fitted_beside(strides, (), self._scales, is_last, is_search=False)
         )
         found = fitted_with_shapes(
-            strides, terms, lambda terms, known: self._fitted_beside(strides, terms, known or self._scales, grown)
+            strides,
+            terms,
+            lambda terms, known: self._fitted_beside(strides, terms, known or self._scales, is_last, grown),
         )
         if found is None:
             return None
@@ -233,13 +253,31 @@ class RoadInference:
         return replace(averaged(strides, found).checked(), contradicted=self._contradicted)
 
     def _fitted_beside(
-        self, strides: Strides, terms: tuple[EffectTerm, ...], scales: RoadScales | None, is_search: bool
+        self, strides: Strides, terms: tuple[EffectTerm, ...], scales: RoadScales | None, is_last: bool, is_search: bool
     ) -> RoadFit | None:
         """Fit ``terms`` at the given ``scales``, or search for scales from there; None: from their prior centres."""
         limit = self._config.kinematics.maximum_lag_s
+        goes_on = not (is_last or terms or self._departures)
         if scales is None or is_search:
-            return fit(strides, terms, scales, limit, self._departures)
-        return fit_given(strides, scales, terms, limit, self._departures)
+            if not goes_on:
+                return fit(strides, terms, scales, limit, self._departures)
+            scales = most_probable_scales(strides, scales, limit)
+            if scales is None:
+                return None
+        found = self._fitted_behind_past(strides, scales) if goes_on else None
+        return found or fit_given(strides, scales, terms, limit, self._departures)
+
+    def _fitted_behind_past(self, strides: Strides, scales: RoadScales) -> RoadFit | None:
+        """Fit strides under one load, without effects, from their past on; None where they have none that fits."""
+        with suppress(NotPositiveDefiniteError):
+            past, (length, until) = self._past, self._kept
+            if past is None and length and scales is self._scales and strides.t[length - 1 : length] == until:
+                past = past_of(strides[:length], scales)
+            if past is None or not past.is_of(strides, scales):
+                past = past_of(strides, scales)
+            self._past, self._kept = past, NO_PAST if past is None else (len(past.t), float(past.t[-1]))
+            return None if past is None else fit_behind(past, strides)
+        return None
 
     def _judge(self, t: float, found: RoadFit, conflict: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)

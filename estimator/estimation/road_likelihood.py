@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
+from estimator.model.border import Border
 from estimator.model.conditioned import Conditioned
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import View
@@ -22,6 +23,7 @@ from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import RoadModel
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.model.road_score import Score, score
+from estimator.samples import over_mean
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -44,9 +46,14 @@ def earlier_loads(t: Floats, departures: Sequence[float]) -> Mask:
 
 def shapes_of(present: Mask) -> Floats:
     """Shapes (n, PARTS) of a change in the ``present`` strides (n,): a ramp, and a step between any two parts."""
-    position = np.cumsum(present) / max(int(present.sum()), 1)
+    shapes: Floats = shapes_at(np.cumsum(present) / max(int(present.sum()), 1)) * present[:, None]
+    return shapes
+
+
+def shapes_at(position: Floats) -> Floats:
+    """`shapes_of` strides at each ``position`` (n,) in the driving with the load, which ends at 1."""
     steps = [np.where(position > k / PARTS, 0.5, -0.5) for k in range(1, PARTS)]
-    shapes: Floats = np.column_stack([position - 0.5, *steps]) * present[:, None]
+    shapes: Floats = np.column_stack([position - 0.5, *steps])
     return shapes
 
 
@@ -140,6 +147,9 @@ class Likelihood:
         Times [s] before which the load may have changed.
     taken
         Force [N] (n,) that the terms take, roughly.
+    border, unit
+        Driving that is eliminated, and the units (p,) of the coefficients there, in which a likelihood of what is
+        behind it goes on.
     """
 
     def __init__(
@@ -150,7 +160,10 @@ class Likelihood:
         lag: int,
         departures: Sequence[float] = (),
         taken: Floats | float = 0.0,
+        border: Border | None = None,
+        unit: Floats | None = None,
     ) -> None:
+        self.border = border
         self.model, self.lag, self.terms, self.departures = model, lag, tuple(terms), tuple(departures)
         self.road_load, self._taken = road_load, taken
         self._last: tuple[bytes, Conditioned, Floats] | None = None
@@ -161,18 +174,21 @@ class Likelihood:
         plain = self._plain
         self.order = [*range(1, 1 + plain), *range(1 + X.shape[1], data.shape[1]), *range(1 + plain, 1 + X.shape[1])]
         self.data = data[:, [0, *self.order]]
-        size = np.sqrt(np.mean(self.data[: len(X), 1:] ** 2, axis=0))
-        self.unit = np.where(size > 0.0, size, 1.0)  # an engine that never drags has zeros, but not its noise
-        self.unit[plain : plain + inside] = 1.0
-        self.data[:, 1:] /= self.unit
+        if unit is None:
+            size = np.sqrt(np.mean(self.data[: len(X), 1:] ** 2, axis=0))
+            unit = np.where(size > 0.0, size, 1.0)  # an engine that never drags has zeros, but not its noise
+            unit[plain : plain + inside] = 1.0
+        self.unit = unit
+        self.data[:, 1:] /= unit
         m = float(road_load[2])
         sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([NEW_LOAD_SD / m] * (plain - PLAIN))]
-        sds += [reading.offset_sd for reading in model.readings for _ in range(reading.offsets.shape[1])]
+        sds += [reading.errors.offset_sd for reading in model.readings for _ in range(reading.offsets.shape[1])]
         sds += [term.prior_sd(road_load) / m for term in terms]
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
 
     def _columns(self, driven: Strides) -> Floats:
-        return columns(driven, self.lag, self.terms, self.road_load, self.departures, self._taken)
+        density = over_mean(driven.density, self.model.references.density)
+        return columns(driven, self.lag, self.terms, self.road_load, self.departures, self._taken, density)
 
     def solve(self, gram: Floats) -> tuple[Floats, Floats, float]:
         """Coefficients (p,), their information (p, p) and -2 log likelihood without log|K|; in own units."""
@@ -190,7 +206,7 @@ class Likelihood:
         """
         key = scales.tobytes()
         if self._last is None or self._last[0] != key:
-            conditioned = Conditioned.of(self.model, scales)
+            conditioned = Conditioned.of(self.model, scales, self.border)
             self._last = key, conditioned, conditioned.gram(self.data)
         return self._last[1:]
 
@@ -232,11 +248,13 @@ class Likelihood:
         added[:, places] = change / self.unit[places]
         return np.column_stack([added, _changing(added, shapes)])
 
-    def noise_information(self, conditioned: Conditioned, beta: Floats, by_force: Floats) -> Floats:
-        """Mean of dX' K^-1 dX (q, q) over the noise of the measured force, for changes ``by_force`` (n, q) of X."""
-        mass = float(self.unit[0] / beta[0])
-        noise, of_rate = conditioned.torque_noise(sp.csc_array(mass * by_force))
-        noise[LAG, LAG] = (mass / self.unit[LAG]) ** 2 * of_rate
+    def noise_information(self, conditioned: Conditioned, by_force: Floats) -> Floats:
+        """Mean of dX' K^-1 dX (q, q) over the noise of the measured force on 1 kg, for changes ``by_force`` (n, q).
+
+        It is in proportion to the square of the mass. Strides whose changes are set to zero do not count.
+        """
+        noise, of_rate = conditioned.torque_noise(sp.csc_array(by_force))
+        noise[LAG, LAG] = float(of_rate[by_force[:, 0] != 0].sum()) / self.unit[LAG] ** 2
         return noise
 
 

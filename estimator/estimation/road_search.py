@@ -14,7 +14,7 @@ from estimator.estimation.scale_search import most_probable
 from estimator.model.effect_term import EffectTerm
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
-from estimator.model.road_nodes import Place, warping
+from estimator.model.road_nodes import Place, References, warping
 from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
@@ -82,9 +82,9 @@ class RoadScales:
         held = [*([SLOPE, LENGTH] if self.alpha == LEVEL else []), *([] if self.has_power else [POWER, POWER + 1])]
         return [i for i in range(len(self.values)) if i not in held]
 
-    def model_of(self, strides: Strides) -> RoadModel:
-        """The model of strides that these are scales of."""
-        return RoadModel(strides, self.alpha, self.wander, self.has_power, self.designed, self.turns)
+    def model_of(self, strides: Strides, references: References | None = None) -> RoadModel:
+        """The model of strides that these are scales of; ``references`` are by default those of the strides."""
+        return RoadModel(strides, self.alpha, self.wander, self.has_power, self.designed, self.turns, references)
 
 
 def first_guess(strides: Strides) -> Floats:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from estimator.model.border import Border
 from estimator.model.gram import Rows, gram
 from estimator.model.linear_gaussian import Factor, both_triangles
 from estimator.model.road import RoadModel
@@ -23,27 +24,32 @@ from estimator.signals import Floats
 class _Shares:
     """Diagonals of products of K^-1 and covariances: of the accelerations by the slopes (n,) and by the torque's noise.
 
-    ``slope_variance`` (N,) [1] is that of the slopes at the nodes, ``of_torque_rate`` the trace for the noise's rate.
+    ``slope_variance`` (N,) [1] is that of the slopes at the nodes, ``of_torque_rate`` (n,) is for the noise's rate.
     """
 
     of_slopes: Floats
     of_torque: Floats
     slope_variance: Floats
-    of_torque_rate: float
+    of_torque_rate: Floats
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conditioned:
-    """Road model with given scales; K is the covariance of the data."""
+    """Road model with given scales; K is the covariance of the data.
+
+    With a ``border``, the driving before it is eliminated: its observations in the model have infinite variances, its
+    unknowns a precision of 1.
+    """
 
     model: RoadModel
     scales: Floats
     variance: Floats
     factor: Factor = field(repr=False)
     log_determinant: float  # log|K|
+    border: Border | None = None
 
     @classmethod
-    def of(cls, model: RoadModel, scales: Floats) -> "Conditioned":
+    def of(cls, model: RoadModel, scales: Floats, border: Border | None = None) -> "Conditioned":
         """Condition a model with ``scales`` (k,), in the order of `RoadModel.scales`.
 
         Raises
@@ -52,6 +58,8 @@ class Conditioned:
             The scales lie too far apart for floating point.
         """
         variances = model.variances(scales)
+        if border is not None:
+            return cls._behind(model, scales, variances, border)
         precision, log_prior = model.precision(scales, variances)
         factor = Factor.of(precision)
         log_noise = float(sum(np.log(variance).sum() for variance in variances))
@@ -61,6 +69,21 @@ class Conditioned:
             variance=np.concatenate(variances),
             factor=factor,
             log_determinant=log_noise + factor.log_determinant - log_prior,
+        )
+
+    @classmethod
+    def _behind(cls, model: RoadModel, scales: Floats, variances: list[Floats], border: Border) -> "Conditioned":
+        """Condition the driving behind a border; the determinant is not known."""
+        behind = zip(variances, border.seen_behind(model), strict=True)
+        variances = [np.where(seen, variance, np.inf) for variance, seen in behind]
+        precision, _ = model.precision(scales, variances)
+        return cls(
+            model=model,
+            scales=scales,
+            variance=np.concatenate(variances),
+            factor=Factor.of(border.add_information(precision, model.place_at(border.t))),
+            log_determinant=np.nan,
+            border=border,
         )
 
     @cached_property
@@ -74,7 +97,7 @@ class Conditioned:
         slope_variance: Floats = np.zeros(len(model.nodes.s))
         if not model.is_level:
             of_slopes, slope_variance = model.shared_with_slopes(products) / variance, model.slope_variance(products)
-        rate = float(inverse @ torque.rate_variance(self.scales))
+        rate = inverse * torque.rate_variance(self.scales)
         return _Shares(of_slopes=of_slopes, of_torque=of_torque, slope_variance=slope_variance, of_torque_rate=rate)
 
     @property
@@ -91,20 +114,41 @@ class Conditioned:
         """Posterior variance (N,) [1] of the slope at each node of the road, given the parameters."""
         return self._shares.slope_variance
 
-    def torque_noise(self, by_torque: sp.csc_array) -> tuple[Floats, float]:
+    def torque_noise(self, by_torque: sp.csc_array) -> tuple[Floats, Floats]:
         """Mean products d' K^-1 d of columns that noise of the torque, as an acceleration, changes by d.
 
-        Returns those (c, c) of columns that change by ``by_torque`` (n, c) times it, and that of its rate. With S its
-        covariance and G = ``by_torque``, they are sum_i (K^-1 S)_ii G_i G_i', which is exact where G is constant. Where
-        G changes from stride to stride, the squares of 30 columns of a diagnosis are within 3 % of simulated ones; that
-        of the rate, which is taken as white, is within 12 %.
+        Returns those (c, c) of columns that change by ``by_torque`` (n, c) times it, and the part (n,) of each stride
+        in that of its rate. With S its covariance and G = ``by_torque``, they are sum_i (K^-1 S)_ii G_i G_i', which is
+        exact where G is constant. Where G changes from stride to stride, the squares of 30 columns of a diagnosis are
+        within 3 % of simulated ones; that of the rate, which is taken as white, is within 12 %.
         """
         products: Floats = (by_torque.T @ by_torque.multiply(self._shares.of_torque[:, None])).toarray()
         return products, self._shares.of_torque_rate
 
     def gram(self, data: Rows) -> Floats:
-        """Y' K^-1 Y (c, c) of data columns."""
-        return gram(self.factor, self.model.kinds, self.variance, data)
+        """Y' K^-1 Y (c, c) of data columns; with a border, the first of those eliminated there, and dense."""
+        if self.border is None:
+            return gram(self.factor, self.model.kinds, self.variance, data)
+        assert isinstance(data, np.ndarray)
+        weighed, count = data / self.variance[:, None], data.shape[1]
+        whitened = self.factor.whiten(self._gathered(weighed, np.eye(count)))
+        products: Floats = data.T @ weighed - whitened.T @ whitened + self.border.products[:count, :count]
+        return products
+
+    def _gathered(self, weighed: Floats, weights: Floats) -> Floats:
+        """A' R^-1 Y W (size, d) of ``weighed`` R^-1 Y W (sum of counts, d), for ``weights`` W (c, d) of the columns."""
+        rows = self.model.gathered(weighed)
+        if self.border is not None:
+            begin, before = self.model.place_at(self.border.t), self.border.rows[:, : len(weights)]
+            rows[begin : begin + len(before)] += before @ weights
+        return rows
+
+    def means(self, data: Floats, weights: Floats) -> Floats:
+        """Posterior mean (size, d) of all unknowns, given columns ``data`` (sum of counts, c) times weights (c, d).
+
+        The means of unknowns before a border are zero.
+        """
+        return self.factor.solve(self._gathered(data @ weights / self.variance[:, None], weights))
 
     def unknowns(self, residual: Floats) -> Floats:
         """Posterior mean (size,) of all unknowns, given the data less X beta (sum of counts,)."""

@@ -23,7 +23,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbtrf, dtbtrs, dtrtri
 
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 
 Places = NDArray[np.int64]
 
@@ -50,6 +50,16 @@ def band(rows: Places, columns: Places, values: Floats, shape: tuple[int, int]) 
     stored = np.zeros(shape)
     np.add.at(stored, ((rows - columns)[lower], columns[lower]), values[lower])
     return stored
+
+
+def dense(stored: Floats) -> Floats:
+    """Symmetric matrix (size, size) of a band (bandwidth + 1, size); elements beyond the last row are left out."""
+    size = stored.shape[1]
+    row, column = np.indices((size, size))
+    apart = np.abs(row - column)
+    last = len(stored) - 1
+    inside: Floats = np.where(apart <= last, stored[np.minimum(apart, last), np.minimum(row, column)], 0.0)
+    return inside
 
 
 def both_triangles(stored: Floats) -> Floats:
@@ -113,6 +123,11 @@ class Observations:
         """Variance of A x (n,), for unknowns x whose covariance is given as `both_triangles`."""
         spread: Floats = self._spread @ products.ravel()[self._touched]
         return spread
+
+    def before(self, begin: int) -> Mask:
+        """Which observations (n,) depend on an unknown before ``begin``."""
+        before: Mask = self._first < begin
+        return before
 
     def within(self, begin: int, end: int) -> slice:
         """Range of the observations whose first unknown is in the half-open interval ``begin`` to ``end``."""

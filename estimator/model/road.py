@@ -36,10 +36,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
+from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth, dense
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import Chain
-from estimator.model.road_nodes import SIGNALS, Nodes, Place, Reading
+from estimator.model.road_nodes import SIGNALS, Nodes, Place, Reading, References
 from estimator.model.road_processes import Acting, ForceNoise
 from estimator.model.road_scales import (
     DISTURBANCE,
@@ -51,7 +51,7 @@ from estimator.model.road_scales import (
     SPEED,
     TORQUE,
 )
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
 
@@ -84,6 +84,8 @@ class RoadModel:
         True if the road is designed for the speed it is driven at: at lower speed, slopes change over less distance.
     turns
         Ranges of distance [m] in which the vehicle turns, and slopes change over less distance.
+    references
+        Those of an earlier part of the drive; by default those of the strides.
     """
 
     def __init__(
@@ -94,17 +96,23 @@ class RoadModel:
         power: bool = True,
         designed: bool = False,
         turns: Sequence[Place] = (),
+        references: References | None = None,
     ) -> None:
         self.strides, self.alpha, self.wander = strides, alpha, wander
         self.driven = driven = strides[strides.known]
-        gearing = driven.filled_gearing
-        self.weight = gearing / np.median(gearing)  # of the torque's error in each stride's force
-        of_power = np.median(driven.speed) / driven.speed  # of the power's error in each stride's force
-        self.force_noises = (ForceNoise(TORQUE, self.weight), ForceNoise(POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
         self.nodes = Nodes.under(strides)
-        readings = [Reading.of(name, strides, self.nodes) for name in SIGNALS]
+        known = None if references is None else references.errors
+        readings = [
+            Reading.of(name, strides, self.nodes, None if known is None else known[name])
+            for name in SIGNALS
+            if known is None or name in known
+        ]
         self.readings = tuple(reading for reading in readings if reading is not None)
+        self.references = usual = References.of(driven, self.readings) if references is None else references
+        # Share of the errors of the torque and of the power in each stride's force.
+        self.weight, of_power = driven.filled_gearing(usual.turns) / usual.gearing, usual.speed / driven.speed
+        self.force_noises = (ForceNoise(TORQUE, self.weight), ForceNoise(POWER, of_power))[: 1 + power]
         self.scales = (*SCALES, *(scale for reading in self.readings for scale in SIGNAL_SCALES[reading.name]))
         self._place()
         self._observe()
@@ -170,6 +178,27 @@ class RoadModel:
         self._height = next(parts) if self.has_altitude else np.empty(0, np.int64)
         self._wander = [next(parts) for _ in self.readings]
         self.size = len(order)
+        self._times = times[order]
+        self.kind_of = np.repeat(np.arange(len(groups), dtype=np.int8), [len(group) for group in groups])[order]
+
+    def place_at(self, t: float) -> int:
+        """Index of the first unknown at or after the time ``t`` [s]."""
+        return int(np.searchsorted(self._times, t))
+
+    def before(self, begin: int) -> list[Mask]:
+        """Which observations of each kind depend on an unknown before the one with index ``begin``."""
+        return [observed.before(begin) for observed in self._maps]
+
+    def nodes_behind(self, begin: int) -> Mask:
+        """Which nodes (N,) have slopes among the unknowns from ``begin`` on; all on a level road."""
+        return np.ones(len(self.nodes.s), bool) if self.is_level else self._slope >= begin
+
+    def information_of(self, these: Sequence[Mask], variance: Floats, begin: int, count: int) -> Floats:
+        """Information (count, count) of ``these`` observations, of each kind, on the unknowns from ``begin`` on."""
+        stored = np.zeros(self._shape)
+        for (observed, rows), chosen in zip(self.kinds, these, strict=True):
+            observed.add_information(stored, np.where(chosen, variance[rows], np.inf))
+        return dense(stored[:, begin : begin + count])
 
     @cached_property
     def _motion(self) -> tuple[Places, Floats]:
@@ -261,8 +290,7 @@ class RoadModel:
         extra = columns.shape[1]
         for reading in self.readings:
             stop = at + len(reading.values)
-            origin = reading.values[0] if reading.name == "altitude" else 0.0
-            data[at:stop, 0] = reading.values - origin
+            data[at:stop, 0] = reading.values - reading.errors.origin
             count = reading.offsets.shape[1]
             data[at:stop, extra : extra + count] = reading.offsets
             at, extra = stop, extra + count
@@ -353,8 +381,8 @@ class RoadModel:
         return np.concatenate([observed.variance(products) for observed in self._maps])
 
     def road(self, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Slope (N,) at the nodes and (n,) at the driven strides, from ``unknowns`` (size,)."""
-        slope = np.zeros(len(self.nodes.s)) if self.is_level else unknowns[self._slope]
+        """Slope (N, ...) at the nodes and (n, ...) at the driven strides, from ``unknowns`` (size, ...)."""
+        slope = np.zeros((len(self.nodes.s), *unknowns.shape[1:])) if self.is_level else unknowns[self._slope]
         return slope, self.slope_under(self.driven, unknowns)
 
     def slope_under(self, strides: Strides, unknowns: Floats) -> Floats:

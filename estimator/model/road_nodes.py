@@ -1,11 +1,12 @@
 """Nodes along the road of a drive, and the signals of the road averaged near each of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.samples import mean_density
 from estimator.signals import Floats
 from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -94,13 +95,26 @@ class Nodes:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ErrorScale:
+    """Scale of the readings of a signal and of their ``number`` of constant errors.
+
+    ``offset_sd`` is the prior sd of each error. A signal of slope has one, a constant. Errors of a map come from the
+    rolling resistance and the drag of earlier drives at about this speed. A map so has a second one, in proportion to
+    the square of the speed over its mean ``mean_square`` [m^2/s^2]. Altitudes are relative to ``origin`` [m].
+    """
+
+    number: int
+    offset_sd: float
+    mean_square: float
+    origin: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Reading:
     """Signal of the road averaged over the strides near each node: ``values`` (k,) at ``nodes`` (k,).
 
-    ``bends`` (k,) is the variance that bends add to an accelerometer. ``offsets`` (k, c) are the shapes of its constant
-    errors, and ``offset_sd`` is the prior sd of each. A signal of slope has one, a constant. Errors of a map come from
-    the rolling resistance and the drag of earlier drives at about this speed. A map so has a second one, in proportion
-    to the square of the speed.
+    ``bends`` (k,) is the variance that bends add to an accelerometer, ``offsets`` (k, c) are the shapes of its constant
+    errors, of the size of its ``errors``.
     """
 
     name: str
@@ -109,15 +123,17 @@ class Reading:
     counts: Floats
     bends: Floats
     offsets: Floats
-    offset_sd: float
-    mean_square: float
+    errors: ErrorScale
 
     @classmethod
-    def of(cls, name: str, strides: Strides, nodes: Nodes) -> "Reading | None":
-        """Average the signal ``name`` of SIGNALS; None if it has fewer than two values."""
+    def of(cls, name: str, strides: Strides, nodes: Nodes, errors: ErrorScale | None = None) -> "Reading | None":
+        """Average the signal ``name`` of SIGNALS, with errors of the scale of an earlier part of the drive or its own.
+
+        Returns None if there are fewer than two values to find a scale from.
+        """
         values = getattr(strides, name)
         there = np.isfinite(values)
-        if there.sum() < 2:
+        if errors is None and there.sum() < 2:
             return None
         values = values[there] / (STANDARD_GRAVITY if name == "gravity" else 1.0)
         node, share = nodes.between(0.5 * (strides.s0 + strides.s1)[there])
@@ -126,20 +142,51 @@ class Reading:
         total = np.bincount(nearest, values, len(nodes.s))
         heard = np.flatnonzero(count)
         squares = _means(strides.speed[there] ** 2, nearest, len(nodes.s))[heard]
-        offsets, offset_sd = np.ones((len(heard), 0 if name == "altitude" else 1)), OFFSET_SD
-        offset_sds = strides.grade_offset_sd[there]
-        if name == "grade" and np.isfinite(offset_sds).any():
-            offsets = np.column_stack([offsets, squares / squares.mean()])
-            offset_sd = float(np.sqrt(np.nanmean(offset_sds**2)))
+        means = total[heard] / count[heard]
+        if errors is None:
+            offset_sds = strides.grade_offset_sd[there]
+            is_map = name == "grade" and bool(np.isfinite(offset_sds).any())
+            errors = ErrorScale(
+                number=0 if name == "altitude" else 1 + is_map,
+                offset_sd=float(np.sqrt(np.nanmean(offset_sds**2))) if is_map else OFFSET_SD,
+                mean_square=float(squares.mean()),
+                origin=float(means[0]) if name == "altitude" else 0.0,
+            )
         return cls(
             name=name,
             nodes=heard,
-            values=total[heard] / count[heard],
+            values=means,
             counts=count[heard],
             bends=(BEND / squares) ** 2 if name == "gravity" else np.zeros(len(heard)),
-            offsets=offsets,
-            offset_sd=offset_sd,
-            mean_square=float(squares.mean()),
+            offsets=np.column_stack([np.ones(len(heard)), squares / errors.mean_square])[:, : errors.number],
+            errors=errors,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class References:
+    """Medians and means of a drive that its noise, its air and its signals are relative to.
+
+    ``turns`` [rad/s] of the engine stand in for those that are not known; noise of the torque has its scale at the
+    median ``gearing`` [rad/m], noise of the power at the median ``speed`` [m/s]; ``density`` [kg/m^3] is the mean.
+    ``errors`` are those of each signal of the road.
+    """
+
+    turns: float
+    gearing: float
+    speed: float
+    density: float
+    errors: Mapping[str, ErrorScale]
+
+    @classmethod
+    def of(cls, driven: Strides, readings: Sequence[Reading]) -> "References":
+        """Those of the strides with a known force, and of the readings of a drive."""
+        return cls(
+            turns=driven.usual_turns,
+            gearing=float(np.median(driven.filled_gearing(driven.usual_turns))),
+            speed=float(np.median(driven.speed)),
+            density=mean_density(driven.density),
+            errors={reading.name: reading.errors for reading in readings},
         )
 
 

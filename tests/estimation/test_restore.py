@@ -37,7 +37,7 @@ SPARSE = {"gate": {"interval_s": 240.0}}
 REBUILT = {  # what traffic or the configuration shows again
     Estimator: {"_config", "_resting", "failed_updates", "segment"},
     StrideStage: {"_config", "_effects", "wanted"},
-    RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
+    RoadInference: {"_config", "_effects", "_gate", "_given", "_past", "_rng", "_window", "evidence"},
     PaperInference: {"_config", "_gate", "_rng", "_window", "evidence"},
     Pipeline: {"config", "_is_live", "_is_restored"},
     RowStream: {

@@ -44,6 +44,7 @@ def fit_of(strides: Strides, alpha: int, wander: int, power: bool = True, design
         log_evidence=0.0,
         terms=(),
         strides=model.driven,
+        references=model.references,
         fitted=np.zeros(0),
         slope=np.zeros(0),
         slope_sd=0.01,

@@ -238,10 +238,10 @@ def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
     found = fit(strides)
     assert found is not None
 
-    def fail(model, scales):
+    def fail(model, scales, border=None):
         if scales[SPEED] == 1e-3:
             raise NotPositiveDefiniteError
-        return make(model, scales)
+        return make(model, scales, border)
 
     monkeypatch.setattr(Conditioned, "of", fail)
     values = found.scales.values.copy()

@@ -243,9 +243,7 @@ def test_the_noise_in_the_regressors_is_the_expectation_over_the_error_of_the_fo
     likelihood = likelihood_of(strides_of(n, force=force))
     model, scales = likelihood.model, scales_of(likelihood.model, 10)
     dense, conditioned, still = Dense(model, scales), Conditioned.of(model, scales), np.empty((len(model.driven), 0))
-    beta = np.zeros(likelihood.data.shape[1] - 1)
-    beta[0] = likelihood.unit[0] / M
-    found = likelihood.noise_information(conditioned, beta, likelihood.by_force(still))
+    found = M**2 * likelihood.noise_information(conditioned, likelihood.by_force(still))
     inverse = np.linalg.inv(dense.K) * M**2
     expected = np.zeros_like(found)
     expected[0, 0] = np.sum(inverse * dense.force)

@@ -232,7 +232,7 @@ def test_without_signals_of_road_and_engine_they_are_not_known():
         assert np.isnan(values).all()
     assert np.isnan(strides.gearing).all()
     assert_allclose(strides.relative_density, 1.0)
-    assert_allclose(strides.filled_gearing, 1 / strides.speed, rtol=1e-3)
+    assert_allclose(strides.filled_gearing(strides.usual_turns), 1 / strides.speed, rtol=1e-3)
 
 
 def test_an_engine_speed_of_zero_is_not_known_and_the_usual_one_fills_its_gaps():
@@ -241,7 +241,7 @@ def test_an_engine_speed_of_zero_is_not_known_and_the_usual_one_fills_its_gaps()
     strides = known(strided(rows_of(10 + 0.03 * np.arange(n), 1e5, **{Role.ENGINE_SPEED: turns}))[0])
     there = np.isfinite(strides.gearing)
     np.testing.assert_array_equal(there, strides.t < 19.5)
-    assert_allclose(strides.filled_gearing, 140 / strides.speed, rtol=1e-3)
+    assert_allclose(strides.filled_gearing(strides.usual_turns), 140 / strides.speed, rtol=1e-3)
 
 
 # Which forces are known
