@@ -117,7 +117,7 @@ class Aligner:
         yield from filter(None, self.feed_blocks(readings, np.array([now])))
 
     def feed_blocks(self, readings: Readings, ends: Floats) -> Iterator[Rows | None]:
-        """Add blocks that end at ``ends`` (k,) [s]; yields for each the rows that have become complete, if any.
+        """Add blocks that end at ``ends`` (k,) [s]; yields for each the rows complete since the last ones, or None.
 
         Blocks that would change how later ones are read, such as the first of a sender, are added one by one.
         """
@@ -137,7 +137,10 @@ class Aligner:
         yield from self._advance(ends)
 
     def _advance(self, ends: Floats) -> Iterator[Rows | None]:
-        """Rows of blocks that end at ``ends`` (k,) [s], each up to SETTLE before its end; see `_is_settled`."""
+        """Rows of blocks that end at ``ends`` (k,) [s], each up to SETTLE before its end; see `_is_settled`.
+
+        Rows of a run of blocks come with its last.
+        """
         horizons = _horizons(ends)
         if self._next is None:
             starts = [track.t[0] for track in self._tracks.values() if len(track.t)]
@@ -150,27 +153,28 @@ class Aligner:
         if last <= first:
             yield None
             return
-        parts = list(self._parts(np.append(first, horizons), horizons, ends))
+        runs = list(self._runs(np.append(first, horizons), horizons, ends))
         self._next = last
         for track in self._tracks.values():
             track.forget(last * STEP - SETTLE)
         self._engine.forget_readings(last * STEP - SETTLE)
-        for part in parts:
-            yield self._frozen.finish() if part is None else self._frozen.feed(part)
+        for blocks, rows in runs:
+            yield from [None] * (blocks - 1)
+            yield self._frozen.finish() if rows is None else self._frozen.feed(rows)
 
-    def _parts(self, bounds: NDArray[np.int64], horizons: NDArray[np.int64], ends: Floats) -> Iterator[Rows | None]:
-        """Rows of each block between the row indices ``bounds`` (k + 1,); None for a silent block."""
+    def _runs(
+        self, bounds: NDArray[np.int64], horizons: NDArray[np.int64], ends: Floats
+    ) -> Iterator[tuple[int, Rows | None]]:
+        """Runs of blocks between the row indices ``bounds`` (k + 1,): their number, and rows; None where silent."""
         silent = self._are_silent(bounds)
         for is_silent, run in groupby(range(len(ends)), silent.__getitem__):
             blocks = [*run]
             low, high = int(bounds[blocks[0]]), int(bounds[blocks[-1] + 1])
             if is_silent:
                 self.silent += high - low
-                yield from [None] * len(blocks)
-                continue
-            rows = self._rows(np.arange(low, high, dtype=np.int64), horizons, ends)
-            for i in blocks:
-                yield rows[int(bounds[i]) - low : int(bounds[i + 1]) - low]
+                yield len(blocks), None
+            else:
+                yield len(blocks), self._rows(np.arange(low, high, dtype=np.int64), horizons, ends)
 
     def _are_silent(self, bounds: NDArray[np.int64]) -> list[bool]:
         """Flags (k,) of blocks between ``bounds`` (k + 1,) that begin MAX_SILENCE after the last line so far."""
