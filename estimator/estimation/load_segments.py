@@ -9,7 +9,7 @@ A / m, C, road and noise are common to all loads.
 """
 
 from dataclasses import dataclass
-from math import exp, log, sqrt
+from math import log, sqrt, tanh
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from estimator.units import HOUR
 
 SHORT_STOP = 300.0  # s of `load.stop_s`: the driving between shorter stops is too short to determine road and noise
 KEPT_LOADS = 15  # loads before the present one whose driving stays in use after short stops
-MAX_LOG_ODDS = 700.0  # exp overflows beyond; the probability is 0 or 1 in floating point
 
 
 @dataclass(frozen=True)
@@ -133,5 +132,5 @@ def load_change(before: Segment, after: Segment) -> LoadChange:
     other = noise + (NEW_LOAD_SD * m0) ** 2
     d = (m1 - m0) ** 2
     log_odds = 0.5 * (log(noise / other) + d / noise - d / other)
-    probability = 1 / (1 + exp(-min(max(log_odds, -MAX_LOG_ODDS), MAX_LOG_ODDS)))
+    probability = 0.5 * (1 + tanh(0.5 * log_odds))
     return LoadChange(probability, m0, m1)

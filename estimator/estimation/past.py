@@ -21,7 +21,6 @@ from estimator.strides import DURATION, Strides
 
 # Strides with a known force of a past behind its border, and as many before it, that are in the model of what follows.
 REPEATED = 60
-SHORTEST = 4 * REPEATED  # strides with a known force of a past
 GROWTH = 1.2  # factor by which strides outgrow a past: what it keeps is older than the rest by so much at most
 
 
@@ -45,6 +44,11 @@ class Past:
     border: Border
     corrections: Corrections
     road: RoadFound
+
+    @staticmethod
+    def is_possible(strides: Strides) -> bool:
+        """Whether so many strides have a known force that most of them are before a border."""
+        return int(np.count_nonzero(strides.known)) >= 4 * REPEATED
 
     @classmethod
     def of(cls, likelihood: Likelihood, scales: RoadScales) -> "Past":

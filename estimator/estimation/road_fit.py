@@ -13,7 +13,7 @@ import numpy as np
 
 from estimator.estimation.form_doubt import with_doubt_of_effects, with_doubt_of_form
 from estimator.estimation.normal_equations import NormalEquations
-from estimator.estimation.past import SHORTEST, Past
+from estimator.estimation.past import Past
 from estimator.estimation.road_found import RoadFound
 from estimator.estimation.road_likelihood import LAG, Likelihood, shapes_of, taken_by
 from estimator.estimation.road_search import RoadScales, Search, first_guess, scaled_by
@@ -282,7 +282,7 @@ def _concluded(
 
 def past_of(strides: Strides, scales: RoadScales) -> Past | None:
     """Return the past that strides without effects have at ``scales``; None where they have none."""
-    search = search_of(strides) if np.count_nonzero(strides.known) >= SHORTEST else None
+    search = search_of(strides) if Past.is_possible(strides) else None
     if search is None or search.model(scales).reading_names != scales.readings:
         return None
     return Past.of(search.likelihood(scales), scales)

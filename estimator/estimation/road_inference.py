@@ -72,7 +72,6 @@ USUAL_LAG = 0.5  # s, between power and speed, may be more only where `kinematic
 LONGEST_LAG = float(LAGS.max()) + LAG_SD  # s, that the model can describe
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
 NOTHING_COVERED = Coverage(0, 0)
-NO_PAST = (0, 0.0)
 
 
 class Withheld(Protocol):
@@ -111,8 +110,8 @@ class RoadInference:
         self._signals: tuple[str, ...] = ()  # of the road, that were compared
         self._compared = 0  # rows in the window then
         self._contradicted: tuple[str, ...] = ()  # those left out, until there are others or another drive
-        self._past: Past | None = None  # of the strides, at the scales
-        self._kept = NO_PAST  # number of its strides, and the time [s] of the last one: it is made again from them
+        self._past: Past | None
+        self._keep(None)
 
     def start_segment(self, departure: float | None = None) -> float | None:
         """Begin a new load at ``departure`` [s], None at the start of a drive: the present one becomes the one before.
@@ -123,7 +122,8 @@ class RoadInference:
         if departure is None and self._scales is not None:
             self._scales = replace(self._scales, turns=())  # of the road before
         self._loads.start_segment(kept)
-        self.evidence, self._past, self._kept = None, None, NO_PAST
+        self.evidence = None
+        self._keep(None)
         if departure is None or not kept:
             self._fitted, self._compared, self._departures, self._contradicted = 0, 0, (), ()
             return None
@@ -235,7 +235,7 @@ class RoadInference:
         if signals != self._signals or (is_due and not self._contradicted):
             self._signals, self._compared, limit = signals, held, self._config.kinematics.maximum_lag_s
             self._contradicted = contradicted(strides, lambda seen: search_of(seen, (), limit, self._departures))
-            self._past, self._kept = None, NO_PAST  # it may have other signals
+            self._keep(None)  # the past may have other signals
         strides = strides.without(self._contradicted)
         terms = terms_of(
             strides, self._effects, lambda: self._fitted_beside(strides, (), self._scales, is_last, is_search=False)
@@ -275,9 +275,16 @@ class RoadInference:
                 past = past_of(strides[:length], scales)
             if past is None or not past.is_of(strides, scales):
                 past = past_of(strides, scales)
-            self._past, self._kept = past, NO_PAST if past is None else (len(past.t), float(past.t[-1]))
+            self._keep(past)
             return None if past is None else fit_behind(past, strides)
         return None
+
+    def _keep(self, past: Past | None) -> None:
+        """Keep the past of the strides, with the number of its strides and the time [s] of the last one.
+
+        After a restart it is made again from them.
+        """
+        self._past, self._kept = past, (0, 0.0) if past is None else (len(past.t), float(past.t[-1]))
 
     def _judge(self, t: float, found: RoadFit, conflict: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)

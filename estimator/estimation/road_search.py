@@ -35,7 +35,6 @@ TURN_PRICE = 8.0
 TRIED_TURNS = 3  # slow places where the slope bends most, for each one that is found: bounds the cost
 CLEAR = 5.0  # log evidence by which scales of other orders are clearly less probable: how much less is of no interest
 MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
-MAX_EXPONENT = 500.0  # of the exponential function in floating point
 PASSES = 2  # of the coefficients, given the scales, that effects scale with
 INERTIA_PASSES = 6  # where one is an inertia: of half the mass of the vehicle, 0.3 % of it are left
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
@@ -166,7 +165,7 @@ class Search:
                 raise
             scales, evidence = self._lagged(self.central(level))
         scales, evidence, lead = self._better(scales, evidence, _other_noise(scales))
-        chance = 0.0 if scales.has_power else 1 / (1 + float(np.exp(min(lead, MAX_EXPONENT))))
+        chance = 0.0 if scales.has_power else 0.5 * (1 - float(np.tanh(0.5 * lead)))
         scales = replace(scales, power_chance=chance)
         if scales.readings:
             order = SMOOTH if scales.wander == ROUGH else ROUGH

@@ -13,8 +13,7 @@ from estimator.signals import Floats, Mask
 from estimator.strides import Strides
 
 MIN_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins; lower values fall into its first cells
-SPEED_CELLS = 64  # of `gate.speed_step_m_s`: up to 160 m/s by default
-ACCELERATION_CELLS = 64  # of `gate.acceleration_step_m_s2`: up to 5.4 m/s^2 by default
+CELLS = 64  # of `gate.speed_step_m_s` and `acceleration_step_m_s2`: up to 160 m/s and 5.4 m/s^2 by default
 KEPT = 0.9  # of a limit that is exceeded: what is fitted stays the same for a while, and fits go on from it
 
 
@@ -25,20 +24,18 @@ class Grid:
     speed_step: float  # [m/s]
     acceleration_step: float  # [m/s^2]
 
-    size = SPEED_CELLS * ACCELERATION_CELLS
+    size = CELLS * CELLS
 
     def cell(self, v: Floats, a: Floats) -> NDArray[np.int64]:
         """Cell number (n,) of each speed [m/s] and acceleration [m/s^2]."""
-        row = np.clip(np.floor(v / self.speed_step), 0, SPEED_CELLS - 1)
+        row = np.clip(np.floor(v / self.speed_step), 0, CELLS - 1)
         column = np.floor((a - MIN_ACCELERATION) / self.acceleration_step)
-        cell: NDArray[np.int64] = (row * ACCELERATION_CELLS + np.clip(column, 0, ACCELERATION_CELLS - 1)).astype(
-            np.int64
-        )
+        cell: NDArray[np.int64] = (row * CELLS + np.clip(column, 0, CELLS - 1)).astype(np.int64)
         return cell
 
     def centres(self) -> tuple[Floats, Floats]:
         """Speed [m/s] and acceleration [m/s^2] in the middle of every cell (size,)."""
-        row, column = np.divmod(np.arange(self.size), ACCELERATION_CELLS)
+        row, column = np.divmod(np.arange(self.size), CELLS)
         return (row + 0.5) * self.speed_step, MIN_ACCELERATION + (column + 0.5) * self.acceleration_step
 
 

@@ -11,7 +11,7 @@ from estimator.answers import status
 from estimator.answers.reference import References
 from estimator.answers.run import RunAnswer
 from estimator.estimates import Estimate, Marginal, Slope, drag_area
-from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, Window
+from estimator.estimation.window import CELLS, MIN_ACCELERATION, Window
 from estimator.report import parameter_text
 from estimator.report.next_step import next_step
 from estimator.report.run_warnings import warnings_of
@@ -136,8 +136,8 @@ def coverage_map(window: Window, gate: Gate, latest: Estimate | None) -> answer.
         acceleration_step_m_s2=window.grid.acceleration_step,
         lowest_acceleration_m_s2=MIN_ACCELERATION,
         needed=gate.cell_count,
-        rows=tuple((*divmod(cell, ACCELERATION_CELLS), int(counts[cell])) for cell in driven.tolist()),
-        wanted=() if latest is None else tuple(divmod(cell, ACCELERATION_CELLS) for cell in latest.coverage.wanted),
+        rows=tuple((*divmod(cell, CELLS), int(counts[cell])) for cell in driven.tolist()),
+        wanted=() if latest is None else tuple(divmod(cell, CELLS) for cell in latest.coverage.wanted),
     )
 
 

@@ -15,7 +15,7 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict
 from estimator.estimates import Status
 from estimator.estimation import road_inference
-from estimator.estimation.past import GROWTH, REPEATED, SHORTEST
+from estimator.estimation.past import GROWTH, REPEATED
 from estimator.estimation.road_fit import RoadFit, fit, fit_behind, fit_given, past_of
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.road_search import RoadScales
@@ -123,8 +123,8 @@ def test_the_products_of_all_data_are_exact():
 
 def test_short_drives_have_no_past():
     strides, scales = hilly(True), scales_of(True)
-    assert past_of(strides[: SHORTEST - 1], scales) is None
-    assert past_of(strides[: SHORTEST + 10], scales) is not None
+    assert past_of(strides[: 4 * REPEATED - 1], scales) is None
+    assert past_of(strides[: 4 * REPEATED + 10], scales) is not None
 
 
 def test_a_past_is_not_that_of_other_strides_or_scales():

@@ -33,7 +33,7 @@ def test_signals_are_compared_again_where_the_window_has_grown_or_others_have_co
     inference = RoadInference(Config(), Window(Config()), np.random.default_rng(1))
     one, two = strides_of(60, shown=("altitude",)), strides_of(60, shown=("altitude", "grade"))
     for strides, held in ((one, 200), (one, 500), (two, 500), (two, 900), (two, 1500), (two, 9000), (one, 9000)):
-        inference._fit(strides, held)
+        inference._fit(strides, held, is_last=False)
     assert compared == [["altitude"], ["altitude", "grade"], ["altitude", "grade"], ["altitude"]]
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from made_strides import made_strides
 
 from estimator.config import from_dict
-from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, SPEED_CELLS, Grid, Window
+from estimator.estimation.window import CELLS, MIN_ACCELERATION, Grid, Window
 from estimator.preparation.admission import ADMITTED, Reason, count_reasons, row_reasons
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission
@@ -138,7 +138,7 @@ def test_every_point_has_a_cell(v, a):
 def test_cells_and_centres_agree():
     grid = Grid(2.5, 0.1)
     np.testing.assert_array_equal(grid.cell(*grid.centres()), np.arange(grid.size))
-    assert grid.size == SPEED_CELLS * ACCELERATION_CELLS
+    assert grid.size == CELLS * CELLS
     assert grid.centres()[1].min() > MIN_ACCELERATION
 
 

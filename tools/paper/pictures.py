@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, SPEED_CELLS
+from estimator.estimation.window import CELLS, MIN_ACCELERATION
 from estimator.model.road_load import power
 from estimator.signals import Floats
 from paper.cycles import Cycle
@@ -97,9 +97,9 @@ def power_trace(drive: Drive, best: Floats, path: Path) -> None:
 def coverage_map(cycles: dict[str, Cycle], reach: Availability, path: Path) -> None:
     """Fig. 3: available cells grey, occupied ones in colour, one panel a cycle."""
     figure, axes = _panels(len(cycles), 2.9, sharey=True)
-    speed = np.arange(SPEED_CELLS + 1) * GRID.speed_step
-    acceleration = MIN_ACCELERATION + np.arange(ACCELERATION_CELLS + 1) * GRID.acceleration_step
-    shape = (SPEED_CELLS, ACCELERATION_CELLS)
+    speed = np.arange(CELLS + 1) * GRID.speed_step
+    acceleration = MIN_ACCELERATION + np.arange(CELLS + 1) * GRID.acceleration_step
+    shape = (CELLS, CELLS)
     fastest, hardest = (g[reach.cells].max() for g in GRID.centres())
     softest = GRID.centres()[1][reach.cells].min()
     for ax, cycle, colour in zip(axes, cycles.values(), COLOURS, strict=True):
