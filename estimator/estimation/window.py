@@ -110,7 +110,8 @@ class Window:
     def _rarest(self, allowed: float) -> Mask:
         """Blocks (blocks,) of at most ``allowed`` rows that are left when the fullest ones are forgotten in turn.
 
-        Fullness is the mean count of the cells of a block's rows; a block without cells goes last.
+        Fullness is the mean count of the cells of a block's rows. Blocks without cells only join those on either side,
+        and are forgotten with one of them.
         """
         count, counts = len(self._lengths), self._counts.copy()
         kept, block = np.ones(count, dtype=bool), np.repeat(np.arange(count), self._cell_lengths)
@@ -122,7 +123,10 @@ class Window:
             kept[fullest] = False
             cells = block == fullest
             counts -= self._counted(self._places[cells], self._rows[cells])
-        return kept
+        own = np.flatnonzero(total > 0)
+        after = np.searchsorted(own, np.arange(count))  # of the blocks with cells, the one at or after each block
+        is_kept = np.concatenate([[False], kept[own], [True]])  # driving after the newest block may still come
+        return np.where(total > 0, kept, is_kept[after] & is_kept[after + 1])
 
     def _place(self, cells: tuple[Floats, Floats, NDArray[np.int64]]) -> Cells:
         speed, acceleration, rows = cells

@@ -36,6 +36,12 @@ def consistent(w: Window) -> bool:
     return len(held) == len(w) and np.array_equal(counts, w.counts) and bool(np.all(np.diff(held.t) > 0))
 
 
+def consistent_known(w: Window) -> bool:
+    held = w.strides[w.strides.known]
+    counts = np.bincount(w.grid.cell(held.speed, held.a), minlength=w.grid.size)
+    return len(held) == len(w) and np.array_equal(counts, w.counts)
+
+
 blocks = st.lists(
     st.tuples(st.integers(0, 200), st.floats(0.1, 2000.0), st.floats(1, 35), st.floats(-2, 2)), min_size=1, max_size=40
 )
@@ -106,6 +112,21 @@ def test_rare_driving_survives_a_flood_of_cruising():
     assert len(w) > 5400 - 200  # a tenth less, and a block
     assert np.count_nonzero(held.a > 0.15) == 10 * 100
     assert consistent(w)
+
+
+def test_strides_without_a_known_force_are_forgotten_with_the_driving_that_they_join():
+    w, t = window(1000), 0.0
+    for i in range(60):
+        made = block(50, t, 20.0 if i % 2 else 25.0)
+        w.add(replace(made, known=np.zeros(50, bool)) if i % 4 in (1, 2) else made)
+        t += 5.0
+        assert consistent_known(w)
+    held, edges = w.strides, np.diff(w.strides.known.astype(int))
+    begins, ends = np.flatnonzero(edges < 0), np.flatnonzero(edges > 0)
+    assert w.evicted > 0
+    assert 0 < np.count_nonzero(~held.known) < 0.8 * 30 * 50  # of those that came
+    for place in (*begins, *ends[ends > begins[0]]):
+        assert held.t[place + 1] - held.t[place] == pytest.approx(STEP)  # what they join is there, on either side
 
 
 def test_a_constant_stream_keeps_the_window_nearly_full():
