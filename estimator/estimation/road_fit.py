@@ -277,27 +277,10 @@ def _concluded(
     present = likelihood.model.driven.t >= max(likelihood.departures, default=-np.inf)
     shapes = shapes_of(present)[:, : None if with_changes else 0]
     equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes)
-    return _solved(likelihood, scales, evidence, rests, equations)
+    return solved(likelihood, scales, evidence, rests, equations)
 
 
-def past_of(strides: Strides, scales: RoadScales) -> Past | None:
-    """Return the past that strides without effects have at ``scales``; None where they have none."""
-    search = search_of(strides) if Past.is_possible(strides) else None
-    if search is None or search.model(scales).reading_names != scales.readings:
-        return None
-    return Past.of(search.likelihood(scales), scales)
-
-
-def fit_behind(past: Past, strides: Strides) -> RoadFit | None:
-    """Fit strides as `fit_given` does, from their past on; None where these do not fit together."""
-    likelihood = past.likelihood_behind(strides)
-    if likelihood is None:
-        return None
-    equations = past.equations_behind(likelihood)
-    return _solved(likelihood, past.scales, np.nan, (), equations, past, strides[strides.known])
-
-
-def _solved(
+def solved(
     likelihood: Likelihood,
     scales: RoadScales,
     evidence: float,

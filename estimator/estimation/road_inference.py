@@ -5,7 +5,6 @@ hills that no signal shows the mass is known long before A and C, so each parame
 """
 
 from collections import Counter
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -26,20 +25,18 @@ from estimator.errors import StateError
 from estimator.estimates import PARAMETERS, Coverage, Estimate, Road, Status
 from estimator.estimation import posterior
 from estimator.estimation.belief import Belief
+from estimator.estimation.continued import Continued
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
 from estimator.estimation.gain_changes import gain_changes
 from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_sign_of, wrong_unit_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
-from estimator.estimation.past import Past
 from estimator.estimation.road_fit import (
     MIN_INVERSE_MASS,
     RoadFit,
     fit,
-    fit_behind,
     fit_given,
     most_probable_scales,
-    past_of,
     search_of,
 )
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
@@ -52,7 +49,6 @@ from estimator.estimation.usual_vehicles import Doubt, Size, unusual
 from estimator.estimation.window import Window
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import obstacle
-from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_nodes import SIGNALS
 from estimator.model.road_scales import POWER, SCALES, TORQUE
@@ -110,8 +106,7 @@ class RoadInference:
         self._signals: tuple[str, ...] = ()  # of the road, that were compared
         self._compared = 0  # rows in the window then
         self._contradicted: tuple[str, ...] = ()  # those left out, until there are others or another drive
-        self._past: Past | None
-        self._keep(None)
+        self._continued = Continued()
 
     def start_segment(self, departure: float | None = None) -> float | None:
         """Begin a new load at ``departure`` [s], None at the start of a drive: the present one becomes the one before.
@@ -123,7 +118,7 @@ class RoadInference:
             self._scales = replace(self._scales, turns=())  # of the road before
         self._loads.start_segment(kept)
         self.evidence = None
-        self._keep(None)
+        self._continued.forget()
         if departure is None or not kept:
             self._fitted, self._compared, self._departures, self._contradicted = 0, 0, (), ()
             return None
@@ -148,7 +143,7 @@ class RoadInference:
             "contradicted": list(self._contradicted),
             "signals": list(self._signals),
             "compared": self._compared,
-            "kept": self._kept,
+            "continued": self._continued.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -160,7 +155,7 @@ class RoadInference:
             The state is not that of an inference.
         """
         set_generator(self._rng, state, "generator")
-        self._past, self._kept = None, read(state, "kept", tuple[Count, float])
+        self._continued.restore(substate(state, "continued"))
         self._loads.restore(substate(state, "loads"))
         self._scales = optional(state, "scales", _restored_scales)
         lost = tuple(map(_restored_scales, read(state, "lost", list[dict[str, Any]])))
@@ -235,7 +230,7 @@ class RoadInference:
         if signals != self._signals or (is_due and not self._contradicted):
             self._signals, self._compared, limit = signals, held, self._config.kinematics.maximum_lag_s
             self._contradicted = contradicted(strides, lambda seen: search_of(seen, (), limit, self._departures))
-            self._keep(None)  # the past may have other signals
+            self._continued.forget()  # it may have had other signals
         strides = strides.without(self._contradicted)
         terms = terms_of(
             strides, self._effects, lambda: self._fitted_beside(strides, (), self._scales, is_last, is_search=False)
@@ -264,27 +259,9 @@ class RoadInference:
             scales = most_probable_scales(strides, scales, limit)
             if scales is None:
                 return None
-        found = self._fitted_behind_past(strides, scales) if goes_on else None
+            self._continued.forget()
+        found = self._continued.fit(strides, scales) if goes_on else None
         return found or fit_given(strides, scales, terms, limit, self._departures)
-
-    def _fitted_behind_past(self, strides: Strides, scales: RoadScales) -> RoadFit | None:
-        """Fit strides under one load, without effects, from their past on; None where they have none that fits."""
-        with suppress(NotPositiveDefiniteError):
-            past, (length, until) = self._past, self._kept
-            if past is None and length and scales is self._scales and strides.t[length - 1 : length] == until:
-                past = past_of(strides[:length], scales)
-            if past is None or not past.is_of(strides, scales):
-                past = past_of(strides, scales)
-            self._keep(past)
-            return None if past is None else fit_behind(past, strides)
-        return None
-
-    def _keep(self, past: Past | None) -> None:
-        """Keep the past of the strides, with the number of its strides and the time [s] of the last one.
-
-        After a restart it is made again from them.
-        """
-        self._past, self._kept = past, (0, 0.0) if past is None else (len(past.t), float(past.t[-1]))
 
     def _judge(self, t: float, found: RoadFit, conflict: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)

@@ -14,9 +14,10 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict
 from estimator.estimates import Status
-from estimator.estimation import road_inference
+from estimator.estimation import continued
+from estimator.estimation.continued import fit_behind, past_of
 from estimator.estimation.past import GROWTH, REPEATED
-from estimator.estimation.road_fit import RoadFit, fit, fit_behind, fit_given, past_of
+from estimator.estimation.road_fit import RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.road_search import RoadScales
 from estimator.signals import Role, Series
@@ -188,10 +189,10 @@ def test_updates_from_the_past_are_those_of_the_whole_window(monkeypatch):
         fits.append(True)
         return fit_behind(past, strides)
 
-    monkeypatch.setattr(road_inference, "fit_behind", counted)
+    monkeypatch.setattr(continued, "fit_behind", counted)
     found = updates([frames])
     assert len(fits) > 0.6 * len(found)  # the first ones have too few strides
-    monkeypatch.setattr(road_inference, "past_of", lambda strides, scales: None)
+    monkeypatch.setattr(continued, "past_of", lambda strides, scales: None)
     expected = updates([frames])
     assert [u.t for u in found] == [u.t for u in expected]
     pairs = [

@@ -14,6 +14,7 @@ from estimator.checkpoint.store import pack, unpack
 from estimator.config import from_dict
 from estimator.errors import StateError
 from estimator.estimates import Status
+from estimator.estimation.continued import Continued
 from estimator.estimation.estimator import Estimator
 from estimator.estimation.paper_inference import PaperInference
 from estimator.estimation.road_inference import RoadInference
@@ -37,7 +38,8 @@ SPARSE = {"gate": {"interval_s": 240.0}}
 REBUILT = {  # what traffic or the configuration shows again
     Estimator: {"_config", "_resting", "failed_updates", "segment"},
     StrideStage: {"_config", "_effects", "wanted"},
-    RoadInference: {"_config", "_effects", "_gate", "_given", "_past", "_rng", "_window", "evidence"},
+    RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
+    Continued: {"_past"},
     PaperInference: {"_config", "_gate", "_rng", "_window", "evidence"},
     Pipeline: {"config", "_is_live", "_is_restored"},
     RowStream: {
@@ -310,7 +312,7 @@ def test_the_orders_that_lost_come_back_and_those_of_other_signals_are_refused(s
 
 
 @pytest.mark.parametrize(
-    "kind", [Estimator, StrideStage, RoadInference, PaperInference, Pipeline, RowStream, RowCounts]
+    "kind", [Estimator, StrideStage, RoadInference, Continued, PaperInference, Pipeline, RowStream, RowCounts]
 )
 def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
     """A new attribute belongs into the state, or into REBUILT."""
@@ -322,6 +324,7 @@ def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
         Estimator: (pipeline.estimator, state["estimator"]),
         StrideStage: (pipeline.estimator._stage, state["estimator"]["stage"]),
         RoadInference: (pipeline.estimator._inference, state["estimator"]["inference"]),
+        Continued: (Continued(), Continued().state()),
         PaperInference: (pipeline.estimator._inference, state["estimator"]["inference"]),
         Pipeline: (pipeline, {"traffic": None, **state}),
         RowStream: (pipeline.traffic, state),
