@@ -32,7 +32,7 @@ class Continued:
         """The fit of all strides, as `fit_given` has it; None where they have no past that fits to them."""
         with suppress(NotPositiveDefiniteError):
             past, length = self._past, self._length
-            if past is None and length and strides.t[length - 1 : length] == self._until:  # after a restart
+            if past is None and 0 < length <= len(strides) and strides.t[length - 1] == self._until:  # after a restart
                 past = past_of(strides[:length], scales)
             if past is None or not past.is_of(strides, scales):
                 past = past_of(strides, scales)

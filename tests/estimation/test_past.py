@@ -15,7 +15,7 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict
 from estimator.estimates import Status
 from estimator.estimation import continued
-from estimator.estimation.continued import fit_behind, past_of
+from estimator.estimation.continued import Continued, fit_behind, past_of
 from estimator.estimation.past import GROWTH, REPEATED
 from estimator.estimation.road_fit import RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import Likelihood
@@ -148,6 +148,19 @@ def test_strides_that_become_known_behind_the_border_are_not_fitted_from_it():
     known = strides.known.copy()
     known[600 - REPEATED : 600 - REPEATED + 3] = False
     assert fit_behind(past, replace(strides, known=known)[:650]) is None
+
+
+@pytest.mark.parametrize("left", [slice(0, 700), slice(0, 500), slice(0, 200), slice(100, 700)], ids=str)
+def test_a_past_is_made_again_after_a_restart_from_the_strides_that_are_left(left):
+    strides, scales = hilly(True), scales_of(True)
+    one, other = Continued(), Continued()
+    assert one.fit(strides[:600], scales) is not None
+    other.restore(one.state())
+    found = other.fit(strides[left], scales)
+    expected = Continued().fit(strides[left], scales) if left != slice(0, 700) else one.fit(strides[left], scales)
+    assert (found is None) == (expected is None) == (left == slice(0, 200))
+    if found is not None:
+        assert found.beta.tolist() == expected.beta.tolist()
 
 
 # Updates of an estimator
