@@ -2,7 +2,7 @@
 
 The unknowns x, in order of time, have the precision L given the data, with the factor F (`conditioned`), and columns Y
 of data the rows B = A' R^-1 Y. With the unknowns before the border numbered 1 and those behind it 2, block elimination
-leaves the system
+leaves the Schur complement
 
     L_22 - F_21 F_21',   B_2 - F_21 W_1,   Y' R^-1 Y - W_1' W_1,   F_11 W_1 = B_1
 

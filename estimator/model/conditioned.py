@@ -151,7 +151,7 @@ class Conditioned:
         return self.factor.solve(self._gathered(data @ weights / self.variance[:, None], weights))
 
     def unknowns(self, residual: Floats) -> Floats:
-        """Posterior mean (size,) of all unknowns, given the data less X beta (sum of counts,)."""
+        """Posterior mean (size,) of all unknowns, given the data less X beta (sum of counts,), without a border."""
         solved: Floats = self.factor.solve(self.model.gathered((residual / self.variance)[:, None]))[:, 0]
         return solved
 
