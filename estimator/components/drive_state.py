@@ -14,8 +14,8 @@ from estimator.components.switching import Switching
 from estimator.components.term import Frame, Term, as_effect_terms, term_of, untimed_terms
 from estimator.estimation.road_fit import RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
-from estimator.estimation.road_search import RoadScales
 from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
+from estimator.estimation.scales import RoadScales
 from estimator.model.conditioned import Conditioned
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import AtRest, Effect, Timing

@@ -30,7 +30,7 @@ LOWEST_TURNS = 10.0  # rad/s, of an engine that runs: its power over fewer is no
 HIGH_TORQUE = 0.99  # quantile of the torque that counts as full load
 TYPICAL_TURNS = 120.0  # rad/s of an engine, to state the torque that takes a power
 MIN_PERIOD, MAX_PERIOD = 20.0, 600.0  # s, of a swing
-FREQUENCY_STEP = 0.25  # step of its frequency, over the inverse length of the drive
+FREQUENCY_STEP = 0.25  # largest step of its frequency, over the inverse length of the drive
 SWINGS = 3  # periods that are tried
 RING_PERIODS = 1.5 * 1.13 ** np.arange(12)  # s, up to 5.8
 DAMPING_RATIOS = (0.05, 0.15)
@@ -108,7 +108,11 @@ def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
     ``t`` [s] (n,) are times of the grid from 0 on, so a fast Fourier transform gives all frequencies.
     """
     index = np.rint(t / STEP).astype(np.int64)
-    number = round(index[-1] / FREQUENCY_STEP)
+    least = int(index[-1] / FREQUENCY_STEP)
+    sizes = (
+        2**i * 3**j for i in range(least.bit_length() + 1) for j in range(8)
+    )  # that a Fourier transform is fast for
+    number = min(size for size in sizes if size >= least)
     frequencies = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, 1 / (number * STEP))
     lowest = np.zeros(number, dtype=np.complex128)  # turned so that the lowest frequency comes first
     lowest[index] = values * np.exp(2j * np.pi * frequencies[0] * t)

@@ -63,14 +63,19 @@ class TermGains:
     sd: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Update:
-    """Terms (g,) of k columns, each added alone to a set; in the scaled units of the likelihood."""
+    """Terms (g,) of k columns, each added alone to a set; in the scaled units of the likelihood.
+
+    The amplitudes b of the set, without the base, change to b - W x, and their covariance S to S + W V W', with the
+    covariance V of the added amplitudes x.
+    """
 
     gain: Floats  # (g,) in log evidence
     value: Floats  # (g, k) of the amplitudes, x
-    covariance: Floats  # (g, k, k) of them, V
-    turned: Floats  # (g, k, s) covariance of the set's amplitudes times the products of both, W
+    sd: Floats  # (g,) of the first of them
+    moved: Floats  # (g, s) W x
+    widened: Floats  # (g, s) diagonal of W V W'
 
 
 def term_columns_of(base_size: int, sizes: Sequence[int]) -> list[NDArray[np.int64]]:
@@ -201,16 +206,11 @@ class SetLikelihood:
     def _evidence_with_alike(
         self, chosen: Sequence[int], posterior: Posterior, added: Sequence[int]
     ) -> tuple[Floats, Mask]:
-        """`_evidence_with` for terms with equal numbers of columns.
-
-        They change the amplitudes b of the set to b - W x, and their covariance S to S + W V W'; see `_Update`.
-        """
-        update, columns = self._updated(chosen, added), self._set(chosen)[0]
-        turned, units = update.turned[:, :, self.base_size :], self.unit[columns][self.base_size :]
+        """`_evidence_with` for terms with equal numbers of columns."""
+        update, units = self._updated(chosen, added), self.unit[self._set(chosen)[0]][self.base_size :]
         previous = posterior.mean[self.base_size :] * units
         variance = np.diag(posterior.covariance)[self.base_size :] * units**2
-        mean = previous - np.einsum("gks,gk->gs", turned, update.value)
-        spread = variance + np.einsum("gks,gkl,gls->gs", turned, update.covariance, turned, optimize=True)
+        mean, spread = previous - update.moved, variance + update.widened
         signed = np.array([self.priors[i].positive for i in chosen for _ in self.term_columns[i]], dtype=np.bool_)
         signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(previous / np.sqrt(variance)))[:, signed].sum(axis=1)
         numbers = list(added)
@@ -240,11 +240,18 @@ class SetLikelihood:
         precision = self._information[new[:, :, None], new[:, None, :]] - across @ turned.transpose(0, 2, 1)
         diagonal = np.einsum("gkk->gk", precision)
         diagonal[:] = np.maximum(diagonal, 0.0) + usual[:, None] ** -2.0
-        value, covariance = np.linalg.solve(precision, score[:, :, None])[:, :, 0], np.linalg.inv(precision)
+        of_set, first = turned[:, :, self.base_size :], np.broadcast_to(np.eye(new.shape[1])[:, :1], (*new.shape, 1))
+        solved = np.linalg.solve(precision, np.concatenate([score[:, :, None], first, of_set], axis=2))
+        value, sd = solved[:, :, 0], np.sqrt(solved[:, 0, 1])
         volume = np.linalg.slogdet(precision * usual[:, None, None] ** 2)[1]
-        positive = self._positive[list(added)]
-        signs = np.where(positive, log_evidence_of_sign(value[:, 0] / np.sqrt(covariance[:, 0, 0])), 0.0)
-        return _Update(0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs, value, covariance, turned)
+        signs = np.where(self._positive[list(added)], log_evidence_of_sign(value[:, 0] / sd), 0.0)
+        return _Update(
+            gain=0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs,
+            value=value,
+            sd=sd,
+            moved=np.einsum("gks,gk->gs", of_set, value),
+            widened=np.einsum("gks,gks->gs", of_set, solved[:, :, 2:]),
+        )
 
     def _are_possible(self, chosen: Sequence[int], sizes: Floats) -> Mask:
         """True (..., s) where an amplitude of a set is within its limits."""
@@ -257,7 +264,7 @@ class SetLikelihood:
     def gains(self, chosen: Sequence[int], added: Sequence[int]) -> TermGains:
         """Gain of each of ``added``, of one column, added alone to a set; costs are not counted."""
         update = self._updated(chosen, added)
-        return TermGains(update.gain, update.value[:, 0], np.sqrt(update.covariance[:, 0, 0]))
+        return TermGains(update.gain, update.value[:, 0], update.sd)
 
     def omission_bias(self, chosen: Sequence[int], index: int) -> Floats:
         """Omitted-variable bias (p,) of base and set, in physical units, per scaled unit of an omitted term."""
