@@ -8,8 +8,8 @@ from estimator.components.plain_model import PlainModel
 from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of, wrong_unit_of
 from estimator.estimation.road_fit import RoadFit, fit, search_of
-from estimator.estimation.road_search import RoadScales
 from estimator.estimation.road_signals import contradicted
+from estimator.estimation.scales import RoadScales
 from estimator.estimation.shapes import fitted_with_shapes, is_free, nearer_shapes, terms_of
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect, obstacle

@@ -8,7 +8,7 @@ import numpy as np
 from estimator.checkpoint.validation import Count, State, read
 from estimator.estimation.past import Past
 from estimator.estimation.road_fit import RoadFit, search_of, solved
-from estimator.estimation.road_search import RoadScales
+from estimator.estimation.scales import RoadScales
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.strides import Strides
 

@@ -13,7 +13,7 @@ import numpy as np
 from estimator.estimation.normal_equations import Corrections, NormalEquations
 from estimator.estimation.road_found import RoadFound
 from estimator.estimation.road_likelihood import Likelihood, shapes_at
-from estimator.estimation.road_search import RoadScales
+from estimator.estimation.scales import RoadScales
 from estimator.model.border import Border
 from estimator.model.road_nodes import References
 from estimator.signals import Floats

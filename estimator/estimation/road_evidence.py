@@ -6,8 +6,8 @@ from operator import itemgetter
 
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import Likelihood
-from estimator.estimation.road_search import RoadScales
 from estimator.estimation.scale_search import most_probable
+from estimator.estimation.scales import RoadScales
 from estimator.model.road import ALPHAS, LEVEL
 from estimator.model.road_nodes import SIGNALS
 from estimator.signals import Floats

@@ -222,9 +222,8 @@ class RoadFilter:
 
     def _shares(self, driven: Strides) -> Floats:
         """Factors (k, n) of the noises of torque and, if in the model, power in each stride's acceleration."""
-        gearing = driven.filled_gearing(self._usual.turns)
-        shares: Floats = np.array([gearing / self._usual.gearing, self._usual.speed / driven.speed])
-        return shares[: len(self._noises)]
+        shares: Floats = self._usual.point.shares(driven)[: len(self._noises)]
+        return shares
 
     def _readings(self, signal: Signal, strides: Strides, length: Floats) -> tuple[Floats, Floats, Floats]:
         """Return readings less their offsets (n,), their variances (n,), and regressors of the offsets (n, p)."""

@@ -16,7 +16,8 @@ from estimator.estimation.normal_equations import NormalEquations
 from estimator.estimation.past import Past
 from estimator.estimation.road_found import RoadFound
 from estimator.estimation.road_likelihood import LAG, Likelihood, shapes_of, taken_by
-from estimator.estimation.road_search import RoadScales, Search, first_guess, scaled_by
+from estimator.estimation.road_search import Search, first_guess, scaled_by
+from estimator.estimation.scales import RoadScales
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import AtRest
 from estimator.model.linear_gaussian import NotPositiveDefiniteError

@@ -13,7 +13,6 @@ import numpy as np
 from estimator.checkpoint.validation import (
     Count,
     State,
-    array,
     generator_state,
     optional,
     read,
@@ -41,17 +40,16 @@ from estimator.estimation.road_fit import (
 )
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
-from estimator.estimation.road_search import RoadScales
 from estimator.estimation.road_signals import contradicted, shown_by
 from estimator.estimation.scale_check import ScaleCheck
+from estimator.estimation.scales import RoadScales
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
 from estimator.estimation.usual_vehicles import Doubt, Size, unusual
 from estimator.estimation.window import Window
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import obstacle
-from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_nodes import SIGNALS
-from estimator.model.road_scales import POWER, SCALES, TORQUE
+from estimator.model.road_scales import POWER, TORQUE
 from estimator.preparation.stage import moving_effects
 from estimator.roles import is_electric
 from estimator.signals import Floats, Quantity
@@ -136,8 +134,8 @@ class RoadInference:
         return {
             "generator": generator_state(self._rng),
             "loads": self._loads.state(),
-            "scales": None if self._scales is None else _scales_state(self._scales),
-            "lost": [] if self._scales is None else [_scales_state(lost) for lost in self._scales.lost],
+            "scales": None if self._scales is None else self._scales.state(),
+            "lost": [] if self._scales is None else [lost.state() for lost in self._scales.lost],
             "fitted": self._fitted,
             "departures": list(self._departures),
             "contradicted": list(self._contradicted),
@@ -157,8 +155,8 @@ class RoadInference:
         set_generator(self._rng, state, "generator")
         self._continued.restore(substate(state, "continued"))
         self._loads.restore(substate(state, "loads"))
-        self._scales = optional(state, "scales", _restored_scales)
-        lost = tuple(map(_restored_scales, read(state, "lost", list[dict[str, Any]])))
+        self._scales = optional(state, "scales", RoadScales.restored)
+        lost = tuple(map(RoadScales.restored, read(state, "lost", list[dict[str, Any]])))
         if self._scales is not None:
             if any(scales.readings != self._scales.readings for scales in lost):
                 raise StateError("lost: scales of other signals")
@@ -388,39 +386,6 @@ class RoadInference:
 def _has_changed(now: int, before: int, factor: float) -> bool:
     """Whether a number of rows has grown or shrunk by a factor."""
     return now >= factor * before or now <= before / factor
-
-
-def _scales_state(scales: RoadScales) -> dict[str, Any]:
-    return {
-        "values": scales.values,
-        "alpha": scales.alpha,
-        "wander": scales.wander,
-        "readings": list(scales.readings),
-        "lag": scales.lag,
-        "designed": scales.designed,
-        "turns": np.array(scales.turns, float).reshape(-1, 2),
-        "power_chance": scales.power_chance,
-    }
-
-
-def _restored_scales(state: State) -> RoadScales:
-    values = array(state, "values", (-1,))
-    readings = tuple(read(state, "readings", list[str]))
-    alpha, wander, lag = read(state, "alpha", int), read(state, "wander", int), read(state, "lag", Count)
-    chance, designed = read(state, "power_chance", float), read(state, "designed", bool)
-    whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0)
-    if alpha not in ALPHAS or wander not in (ROUGH, SMOOTH) or lag >= len(LAGS) or not whole or not 0 <= chance <= 1:
-        raise StateError("scales: are not those of a road model")
-    return RoadScales(
-        values=values,
-        alpha=alpha,
-        wander=wander,
-        readings=readings,
-        lag=lag,
-        designed=designed,
-        turns=tuple((begin, end) for begin, end in array(state, "turns", (-1, 2)).tolist()),
-        power_chance=chance,
-    )
 
 
 def _misfit(found: RoadFit, maximum_lag: float) -> str:

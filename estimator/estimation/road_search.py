@@ -5,85 +5,28 @@ that simple drives have need less of it: every further one has its price.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood, columns, taken_by
 from estimator.estimation.scale_search import most_probable
+from estimator.estimation.scales import RoadScales
 from estimator.model.effect_term import EffectTerm
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
-from estimator.model.road_nodes import Place, References, warping
-from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
+from estimator.model.road_nodes import Place
+from estimator.model.road_scales import POWER, SCALES, SLOPE, TORQUE, OperatingPoint
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
-# Log evidence that noise of the power needs to be in the model: it explains nearly what noise of the torque does, and
-# the coefficients are corrected for the latter alone. It has 24 to 318 where it is real (a truck at 1 Hz, a BMW i3).
-POWER_PRICE = 3.0
-# The same for a road that is smoother than crests and dips make it: drives of minutes hardly tell, and beside a smooth
-# road their masses were too sure (errors of 1.4 to 1.9 standard deviations in the first six minutes, else 1.0 to 1.3).
-SMOOTH_PRICE = 3.0
-# The same for a road that is designed for the speed it is driven at: on level simulated roads it has up to 8 where
-# loads act at low speed. On 21 of 28 trips of the BMW it has more, 16 in the median; with the accelerometer on 25, 38.
-DESIGNED_PRICE = 8.0
-# The same for each place where the vehicle turns: of 143 other slow places on five simulated drives none has more than
-# 3.4, and the turns of these routes there and back have 43 to 213.
-TURN_PRICE = 8.0
 TRIED_TURNS = 3  # slow places where the slope bends most, for each one that is found: bounds the cost
 CLEAR = 5.0  # log evidence by which scales of other orders are clearly less probable: how much less is of no interest
 MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
 PASSES = 2  # of the coefficients, given the scales, that effects scale with
 INERTIA_PASSES = 6  # where one is an inertia: of half the mass of the vehicle, 0.3 % of it are left
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
-
-
-@dataclass(frozen=True, kw_only=True)
-class RoadScales:
-    """Scales of road and noise (k,) in the order of `RoadModel.scales`, the orders of road and wander, and design."""
-
-    values: Floats
-    alpha: int  # of ALPHAS, or LEVEL
-    wander: int  # order of the wander of the signals of the road
-    readings: tuple[str, ...]  # those signals, whose scales are among the values
-    lag: int  # place in LAGS
-    designed: bool = False  # the road is designed for the speed it is driven at
-    turns: tuple[Place, ...] = ()  # where slopes change at once
-    power_chance: float = 0.0  # probability that noise of the power is there, where it is not in the model
-    lost: tuple["RoadScales", ...] = ()  # less probable ones of other orders: the next search goes on from there
-
-    @property
-    def orders(self) -> tuple[int, int, bool, bool]:
-        """Orders of road and wander, noise of the power and design."""
-        return self.alpha, self.wander, self.has_power, self.designed
-
-    @property
-    def has_power(self) -> bool:
-        """Whether noise of the power is in the model."""
-        return bool(self.values[POWER] > SCALES[POWER].low)
-
-    @property
-    def price(self) -> float:
-        """Log evidence that these orders must add to be chosen [nats]."""
-        smooth = SMOOTH_PRICE * (self.alpha == ALPHAS[-1])
-        changes = 0.0 if self.alpha == LEVEL else DESIGNED_PRICE * self.designed + TURN_PRICE * len(self.turns)
-        return POWER_PRICE * self.has_power + smooth + changes
-
-    def warping(self, speed: Floats) -> Floats:
-        """Factor (n,) by which slopes change over less distance at a ``speed`` (n,) [m/s] than the slope length."""
-        return warping(speed) if self.designed else np.ones(len(speed))
-
-    @property
-    def free(self) -> list[int]:
-        """Places of the scales that the model has."""
-        held = [*([SLOPE, LENGTH] if self.alpha == LEVEL else []), *([] if self.has_power else [POWER, POWER + 1])]
-        return [i for i in range(len(self.values)) if i not in held]
-
-    def model_of(self, strides: Strides, references: References | None = None) -> RoadModel:
-        """The model of strides that these are scales of; ``references`` are by default those of the strides."""
-        return RoadModel(strides, self.alpha, self.wander, self.has_power, self.designed, self.turns, references)
 
 
 def first_guess(strides: Strides) -> Floats:
@@ -157,6 +100,8 @@ class Search:
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
         """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
+        if known is not None:
+            known = known.at(OperatingPoint.of(self._strides[self._strides.known]))
         self._known = known
         try:
             scales, evidence = self._lagged(known or self.central(level))
@@ -187,7 +132,12 @@ class Search:
         if level:
             values[SLOPE] = model.scales[SLOPE].low
         scales = RoadScales(
-            values=values, alpha=model.alpha, wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
+            values=values,
+            point=model.references.point,
+            alpha=model.alpha,
+            wander=ROUGH,
+            readings=model.reading_names,
+            lag=len(LAGS) // 2,
         )
         orders = [scales, replace(scales, wander=SMOOTH)] if scales.readings else [scales]
         return max(orders, key=lambda scales: self.likelihood(scales).log_evidence(scales.values))

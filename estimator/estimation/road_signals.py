@@ -19,8 +19,9 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.estimation.road_likelihood import Likelihood
-from estimator.estimation.road_search import RoadScales, Search
+from estimator.estimation.road_search import Search
 from estimator.estimation.scale_search import most_probable
+from estimator.estimation.scales import RoadScales
 from estimator.model.road import LEVEL, ROUGH, SMOOTH
 from estimator.model.road_nodes import SIGNALS
 from estimator.model.road_scales import SCALES, SIGNAL_SCALES
@@ -84,7 +85,8 @@ def _alone(strides: Strides, name: str, hidden: Likelihood, scales: Floats) -> f
     On a level road nothing links them to the motion, so the ``scales`` (k,) of a fit to that alone cancel.
     """
     start = np.append(scales[: len(SCALES)], [scale.centre for scale in SIGNAL_SCALES[name]])
-    level = RoadScales(values=start, alpha=LEVEL, wander=ROUGH, readings=(name,), lag=hidden.lag)
+    point = hidden.model.references.point
+    level = RoadScales(values=start, alpha=LEVEL, wander=ROUGH, readings=(name,), lag=hidden.lag, point=point)
 
     def likelihood(scales: RoadScales, shown: Strides) -> Likelihood:
         return Likelihood(scales.model_of(shown), (), hidden.road_load, hidden.lag)

@@ -20,8 +20,8 @@ import numpy as np
 from estimator.estimation.mixture import between
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, Likelihood
-from estimator.estimation.road_search import RoadScales
 from estimator.estimation.savage_dickey import log_bayes_factor
+from estimator.estimation.scales import RoadScales
 from estimator.model.conditioned import Conditioned
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect

@@ -50,6 +50,7 @@ from estimator.model.road_scales import (
     SLOPE,
     SPEED,
     TORQUE,
+    OperatingPoint,
 )
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, Strides
@@ -84,8 +85,10 @@ class RoadModel:
         True if the road is designed for the speed it is driven at: at lower speed, slopes change over less distance.
     turns
         Ranges of distance [m] in which the vehicle turns, and slopes change over less distance.
+    point
+        Point that scales of noise are given at; by default that of the strides.
     references
-        Those of an earlier part of the drive; by default those of the strides.
+        Those of an earlier part of the drive, its point included; by default those of the strides.
     """
 
     def __init__(
@@ -96,6 +99,7 @@ class RoadModel:
         power: bool = True,
         designed: bool = False,
         turns: Sequence[Place] = (),
+        point: OperatingPoint | None = None,
         references: References | None = None,
     ) -> None:
         self.strides, self.alpha, self.wander = strides, alpha, wander
@@ -109,9 +113,9 @@ class RoadModel:
             if known is None or name in known
         ]
         self.readings = tuple(reading for reading in readings if reading is not None)
-        self.references = usual = References.of(driven, self.readings) if references is None else references
+        self.references = References.of(driven, self.readings, point) if references is None else references
         # Share of the errors of the torque and of the power in each stride's force.
-        self.weight, of_power = driven.filled_gearing(usual.turns) / usual.gearing, usual.speed / driven.speed
+        self.weight, of_power = self.references.point.shares(driven)
         self.force_noises = (ForceNoise(TORQUE, self.weight), ForceNoise(POWER, of_power))[: 1 + power]
         self.scales = (*SCALES, *(scale for reading in self.readings for scale in SIGNAL_SCALES[reading.name]))
         self._place()

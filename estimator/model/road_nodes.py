@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.road_scales import OperatingPoint
 from estimator.samples import mean_density
 from estimator.signals import Floats
 from estimator.strides import DURATION, Strides
@@ -165,26 +166,20 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class References:
-    """Medians and means of a drive that its noise, its air and its signals are relative to.
+    """References of a drive for its noise, its air and its signals.
 
-    ``turns`` [rad/s] of the engine stand in for those that are not known; noise of the torque has its scale at the
-    median ``gearing`` [rad/m], noise of the power at the median ``speed`` [m/s]; ``density`` [kg/m^3] is the mean.
-    ``errors`` are those of each signal of the road.
+    ``density`` [kg/m^3] is the mean, ``errors`` are those of each signal of the road.
     """
 
-    turns: float
-    gearing: float
-    speed: float
+    point: OperatingPoint
     density: float
     errors: Mapping[str, ErrorScale]
 
     @classmethod
-    def of(cls, driven: Strides, readings: Sequence[Reading]) -> "References":
-        """Those of the strides with a known force, and of the readings of a drive."""
+    def of(cls, driven: Strides, readings: Sequence[Reading], point: OperatingPoint | None) -> "References":
+        """Those of the strides with a known force, and of the readings of a drive; by default its own ``point``."""
         return cls(
-            turns=driven.usual_turns,
-            gearing=float(np.median(driven.filled_gearing(driven.usual_turns))),
-            speed=float(np.median(driven.speed)),
+            point=OperatingPoint.of(driven) if point is None else point,
             density=mean_density(driven.density),
             errors={reading.name: reading.errors for reading in readings},
         )

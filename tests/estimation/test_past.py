@@ -19,7 +19,7 @@ from estimator.estimation.continued import Continued, fit_behind, past_of
 from estimator.estimation.past import GROWTH, REPEATED
 from estimator.estimation.road_fit import RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import Likelihood
-from estimator.estimation.road_search import RoadScales
+from estimator.estimation.scales import RoadScales
 from estimator.signals import Role, Series
 from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import generate_route

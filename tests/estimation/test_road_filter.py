@@ -11,7 +11,7 @@ from scipy.special import gamma, kv
 from estimator.estimation.road_filter import RoadFilter
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import Likelihood, columns
-from estimator.estimation.road_search import RoadScales
+from estimator.estimation.scales import RoadScales
 from estimator.model.conditioned import Conditioned
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import ROUGH, SMOOTH, START_HEIGHT_SD, RoadModel
@@ -35,7 +35,13 @@ def fit_of(strides: Strides, alpha: int, wander: int, power: bool = True, design
     if not power:
         values[6] = SCALES[6].low
     scales = RoadScales(
-        values=values, alpha=alpha, wander=wander, readings=model.reading_names, lag=MIDDLE, designed=designed
+        values=values,
+        point=model.references.point,
+        alpha=alpha,
+        wander=wander,
+        readings=model.reading_names,
+        lag=MIDDLE,
+        designed=designed,
     )
     return RoadFit(
         beta=beta,
