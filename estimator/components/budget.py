@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimator.components.drawn_powers import DrawnPowers
 from estimator.components.drive_state import DriveState
 from estimator.components.folds import left_out
 from estimator.components.likelihood import JointLikelihood
@@ -105,13 +106,16 @@ class Budget:
         return float(np.sqrt(sum(part.rms**2 for part in self.parts if part.cause in (NOISE, WHITE))))
 
 
-@dataclass(frozen=True)
-class _Powers:
-    """Powers [W] of one drive, means over 2 s: residual (n,), draws (n, d) of each cause, held-out estimates (n,)."""
+@dataclass(frozen=True, kw_only=True)
+class _Drive:
+    """Residuals and drawn powers of one drive.
 
-    residual: Floats
-    draws: dict[str, Floats]
+    ``held_out`` [W] (k,): power of the causes that are not given, estimated on stretches left out of the fit.
+    """
+
+    residuals: Residuals
     held_out: dict[str, Floats]
+    drawn: DrawnPowers
 
 
 def budget(
@@ -126,78 +130,48 @@ def budget(
     For each drive ``possible`` holds effects that were not chosen, and ``unnamed`` the nameless processes to include.
     Causes that are ``given`` are in the model whose residual is split; their errors are part of the gap.
     """
-    powers = [
-        _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
+    found = [
+        _of_drive(drive, others, process, rng, given)
+        for drive, others, process in zip(drives, possible, unnamed, strict=True)
     ]
-    residuals = tuple(_residuals(drive_powers, given) for drive_powers in powers)
-    residual = np.concatenate([residual_of_drive.given for residual_of_drive in residuals])
-    drawn = _concatenated(
-        [drive_powers.draws for drive_powers in powers],
-        [np.zeros((len(drive_powers.residual), DRAWS)) for drive_powers in powers],
-    )
-    held_out = _concatenated(
-        [drive_powers.held_out for drive_powers in powers],
-        [np.zeros(len(drive_powers.residual)) for drive_powers in powers],
-    )
-    for cause in [cause for cause in held_out if cause in given]:
-        drawn[cause] = drawn[cause] - held_out.pop(cause)[:, None]
+    residual = np.concatenate([drive.residuals.given for drive in found])
+    held_out = {
+        cause: np.concatenate([drive.held_out.get(cause, np.zeros(len(drive.residuals.given))) for drive in found])
+        for cause in dict.fromkeys(cause for drive in found for cause in drive.held_out)
+    }
     chosen = {term.name for drive in drives for term in drive.chosen}
     not_chosen = dict.fromkeys(term.name for terms in possible for term in terms if term.name not in chosen)
-    _pool_small(drawn, residual, not_chosen)
-    shares = {cause: residual @ draws / (residual @ residual) for cause, draws in drawn.items()}
-    all_but_noise = 1 - sum(share for cause, share in shares.items() if cause in (NOISE, WHITE))
+    drawn = _with_small_pooled(DrawnPowers.of_drives([drive.drawn for drive in found]), not_chosen)
+    shares = {cause: drawn.share(cause) for cause in drawn.causes}
+    all_but_noise = 1 - sum((shares[cause] for cause in (NOISE, WHITE)), np.zeros(DRAWS))
     found_share = all_but_noise - sum(
         (shares[cause] for cause in (*not_chosen, OTHERS) if cause in shares), np.zeros(DRAWS)
     )
-    parts = [_part(cause, cause in given, residual, drawn, held_out, (found_share, all_but_noise)) for cause in drawn]
-    base, held_out_rms = _rms(residual), _rms(_without(residual, held_out, held_out))
+    held_out_rms = {cause: _rms(_without(residual, held_out, {cause})) for cause in held_out}
+    parts = [
+        _part(cause, cause in given, drawn, held_out_rms.get(cause), (found_share, all_but_noise)) for cause in shares
+    ]
     return Budget(
-        base=base,
-        held_out_rms=held_out_rms,
+        base=_rms(residual),
+        held_out_rms=_rms(_without(residual, held_out, held_out)),
         parts=tuple(sorted(parts, key=lambda part: -part.share)),
-        residuals=residuals,
+        residuals=tuple(drive.residuals for drive in found),
     )
 
 
-def _pool_small(drawn: dict[str, Floats], residual: Floats, causes: Collection[str]) -> None:
-    """Sum the draws of those ``causes`` that take less than MIN_SHARE of the residual to one part, OTHERS."""
-    least = MIN_SHARE * residual @ residual
-    small = [cause for cause in causes if np.quantile(np.abs(residual @ drawn[cause]), 0.95) < least]
-    if small:
-        drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
-
-
-def _concatenated(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
-    """Powers of all drives by cause, concatenated; ``blank`` on a drive without the cause.
-
-    The arrays are removed from ``drives``, so that none is in memory twice.
-    """
-    causes = dict.fromkeys(cause for drive in drives for cause in drive)
-    return {
-        cause: np.concatenate([drive.pop(cause, b) for drive, b in zip(drives, blank, strict=True)]) for cause in causes
-    }
-
-
-def _residuals(drive: _Powers, given: Collection[str]) -> Residuals:
-    """Residuals of one drive, with the causes ``given``."""
-    with_road = dict(drive.held_out)
-    if ROAD in drive.draws:
-        with_road[ROAD] = drive.draws[ROAD].mean(axis=1)
-    return Residuals(
-        plain=drive.residual,
-        given=_without(drive.residual, drive.held_out, given),
-        held_out=_without(drive.residual, drive.held_out, drive.held_out),
-        road_known=_without(drive.residual, with_road, with_road),
-        causes=dict(drive.held_out),
-    )
+def _with_small_pooled(drawn: DrawnPowers, not_chosen: Collection[str]) -> DrawnPowers:
+    """Drawn powers with one part, OTHERS, for those ``not_chosen`` that take less than MIN_SHARE of the gap."""
+    possible = [cause for cause in drawn.causes if cause in not_chosen]
+    small = [cause for cause in possible if np.quantile(np.abs(drawn.share(cause)), 0.95) < MIN_SHARE]
+    return drawn.pooled(small, OTHERS) if small else drawn
 
 
 def _without(residual: Floats, powers: Mapping[str, Floats], causes: Collection[str]) -> Floats:
-    """Residual (n,) minus the powers (n,) or (n, d) of ``causes``, where present: (n,) or (n, d)."""
+    """Residual (n,) minus the powers (n,) of ``causes``, where present."""
     rest = residual
     for cause, power in powers.items():  # order of the mapping: floating-point sums must not depend on set order
         if cause in causes:
-            rest = (rest if rest.ndim == power.ndim else rest[:, None]) - power
+            rest = rest - power
     return rest
 
 
@@ -207,16 +181,10 @@ def _rms(values: Floats) -> float:
 
 
 def _part(
-    cause: str,
-    is_given: bool,
-    residual: Floats,
-    drawn: Mapping[str, Floats],
-    held_out: Mapping[str, Floats],
-    systematic: tuple[Floats, Floats],
+    cause: str, is_given: bool, drawn: DrawnPowers, held_out_rms: float | None, systematic: tuple[Floats, Floats]
 ) -> Part:
     """Part of a cause; ``systematic`` (d,), (d,): total share of the causes found, and of everything but noise."""
-    draws = drawn[cause]
-    shares = residual @ draws / (residual @ residual)
+    shares = drawn.share(cause)
     mean = float(shares.mean())
     low, high = (mean - np.quantile(shares, [0.05, 0.95])).tolist()
     form = SDS_OF_90_PERCENT * FORM_DOUBT * abs(mean * (1 - mean))
@@ -229,71 +197,92 @@ def _part(
         share=mean,
         q05=mean - float(np.hypot(low, form)),
         q95=mean + float(np.hypot(high, form)),
-        rms=_rms(draws),
-        held_out_rms=_rms(_without(residual, held_out, {cause})) if cause in held_out else None,
-        expected=_rms(_without(residual, drawn, {cause})),
+        rms=drawn.rms(cause),
+        held_out_rms=held_out_rms,
+        expected=drawn.rms_without(cause),
     )
 
 
-def _powers(drive: DriveState, others: Sequence[Term], unnamed: Sequence[Term], rng: np.random.Generator) -> _Powers:
+def _of_drive(
+    drive: DriveState,
+    others: Sequence[Term],
+    unnamed: Sequence[Term],
+    rng: np.random.Generator,
+    given: Collection[str],
+) -> _Drive:
     plain, mass = PlainModel(drive.fit), 1 / drive.fit.beta[:1]
-    held_out = _held_out(drive, [_name(term) for term in drive.chosen])
+    held_out = {
+        cause: _power(plain, part[:, None], mass)[:, 0]
+        for cause, part in _held_out(drive, [_name(term) for term in drive.chosen]).items()
+    }
+    residual = plain.residual(plain.power)
+    of_given = _without(residual, held_out, given)
     added = (*others, *unnamed)
     joint, terms = drive.joint_with(added), [*drive.chosen, *added]
     amplitudes = _amplitudes(joint, terms, rng)
-    masses = joint.unit[0] / amplitudes[0]
-    draws = {
-        _name(term): _power(plain, joint.acceleration(joint.term_columns[i], amplitudes[joint.term_columns[i]]), masses)
-        for i, term in enumerate(terms)
-    }
-    for cause, part in _road_and_noise(drive, joint, amplitudes, rng):
-        draws[cause] = _power(plain, part, masses)
-    return _Powers(
-        plain.residual(plain.power),
-        draws,
-        {cause: _power(plain, part[:, None], mass)[:, 0] for cause, part in held_out.items()},
+    batches, road = list[DrawnPowers](), np.zeros(len(residual))
+    for at in range(0, DRAWS, TOGETHER):
+        powers = dict(_drawn(drive, joint, terms, plain, amplitudes[:, at : at + TOGETHER], rng))
+        if not drive.is_level:
+            road += powers[ROAD].sum(axis=1) / DRAWS
+        for cause in [cause for cause in powers if cause in given and cause in held_out]:
+            powers[cause] -= held_out[cause][:, None]
+        batches.append(DrawnPowers.of(of_given, powers))
+    with_road = held_out | ({} if drive.is_level else {ROAD: road})
+    return _Drive(
+        residuals=Residuals(
+            plain=residual,
+            given=of_given,
+            held_out=_without(residual, held_out, held_out),
+            road_known=_without(residual, with_road, with_road),
+            causes=held_out,
+        ),
+        held_out={cause: power for cause, power in held_out.items() if cause not in given},
+        drawn=DrawnPowers.of_draws(batches),
     )
 
 
 def _power(plain: PlainModel, acceleration: Floats, masses: Floats) -> Floats:
     """Power [W] (k, d), means over 2 s, off the plain road load, of draws (n, d) of an ``acceleration`` [m/s^2]."""
-    power = np.empty((len(plain.second), len(masses)))
-    for at in range(0, len(masses), TOGETHER):
-        some = slice(at, at + TOGETHER)
-        power[:, some] = plain.residual(plain.as_power(acceleration[:, some], masses[some]))
-    return power
+    return plain.residual(plain.as_power(acceleration, masses))
+
+
+def _drawn(
+    drive: DriveState,
+    joint: JointLikelihood,
+    terms: Sequence[Term],
+    plain: PlainModel,
+    amplitudes: Floats,
+    rng: np.random.Generator,
+) -> Iterator[tuple[str, Floats]]:
+    """Draws of the power (k, d) [W] of each cause, with its name, for draws of the ``amplitudes`` (p, d)."""
+    masses = joint.unit[0] / amplitudes[0]
+    for i, term in enumerate(terms):
+        columns = joint.term_columns[i]
+        yield _name(term), _power(plain, joint.acceleration(columns, amplitudes[columns]), masses)
+    for cause, acceleration in _road_and_noise(drive, joint, amplitudes, rng):
+        yield cause, _power(plain, acceleration, masses)
 
 
 def _road_and_noise(
     drive: DriveState, joint: JointLikelihood, amplitudes: Floats, rng: np.random.Generator
 ) -> Iterator[tuple[str, Floats]]:
     """Draws of the acceleration (n, d) [m/s^2] by the road, white forces and sensor noise, with their causes."""
-    n = len(joint.frame.strides)
-    errors, white, slopes = np.empty((n, DRAWS)), np.empty((n, DRAWS)), np.zeros((n, 0 if drive.is_level else DRAWS))
-    for at in range(0, DRAWS, TOGETHER):
-        some = slice(at, at + TOGETHER)
-        residuals = joint.residual(amplitudes[:, some])
-        unknowns = joint.conditioned.draws(residuals, rng)
-        errors[:, some] = joint.model.sensor_errors(unknowns)
-        white[:, some] = residuals[:n] - errors[:, some]
-        if not drive.is_level:
-            slopes[:, some] = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
-            white[:, some] -= slopes[:, some]
+    n, residuals = len(joint.frame.strides), joint.residual(amplitudes)
+    unknowns = joint.conditioned.draws(residuals, rng)
+    errors = joint.model.sensor_errors(unknowns)
+    white = residuals[:n] - errors
     if not drive.is_level:
-        slopes += joint.acceleration(joint.stretches, amplitudes[joint.stretches])
-        yield ROAD, slopes
-    del slopes  # on a long drive each of these arrays takes as much memory as all columns
+        slopes = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
+        white -= slopes
+        yield ROAD, slopes + joint.acceleration(joint.stretches, amplitudes[joint.stretches])
     scales = drive.fit.scales.values
     remaining, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + remaining))[:, None]
     doubt = np.sqrt(share * (1 - share) * (remaining + disturbance**2)[:, None])
-    gusts = rng.standard_normal(white.shape)
-    gusts *= doubt
-    gusts += share * white
+    gusts = share * white + doubt * rng.standard_normal(white.shape)
     yield WHITE, gusts
-    errors += white
-    errors -= gusts
-    yield NOISE, errors
+    yield NOISE, errors + white - gusts
 
 
 def _amplitudes(joint: JointLikelihood, terms: Sequence[Term], rng: np.random.Generator) -> Floats:

@@ -57,7 +57,7 @@ def diagnose_logs(
     for i, path in enumerate(given_paths):
         logs = LogFrames([path], config, partial(_report_share, progress, i, len(given_paths)))
         stream = RowStream(config)
-        in_log = [Drive.of(pieces, config) for pieces in rows_of(logs, stream, str(path))]
+        in_log = _without_rows(rows_of(logs, stream, str(path)), config)
         torques.append(stream.reference_torque)
         references.append(stream.references)
         mixed.update(logs.mixed)
@@ -108,9 +108,14 @@ def diagnose_drive(paths: Sequence[Path], config: Config) -> Diagnosis:
     MissingInputsError
         The files lack inputs of the model.
     """
-    pieces = rows_of(LogFrames(list(paths), config, no_progress), RowStream(config), str(paths[0]))
-    rng = np.random.default_rng(config.sampler.seed)
-    return diagnose([Drive.of(drive, config) for drive in pieces], named(config.effects), rng)
+    frames = LogFrames(list(paths), config, no_progress)
+    drives = _without_rows(rows_of(frames, RowStream(config), str(paths[0])), config)
+    return diagnose(drives, named(config.effects), np.random.default_rng(config.sampler.seed))
+
+
+def _without_rows(rows: Sequence[Sequence[Rows]], config: Config) -> list[Drive]:
+    """Drives of ``rows``, as a diagnosis takes them: the rows of an hour have 8 MB, and it needs the strides alone."""
+    return [replace(Drive.of(pieces, config), pieces=()) for pieces in rows]
 
 
 def _report_share(progress: Progress, done: int, of: int, share: float) -> None:
