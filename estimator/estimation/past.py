@@ -60,7 +60,8 @@ class Past:
         begin = model.place_at(t)
         before, nodes_before = model.before(begin)[0], ~model.nodes_behind(begin)
         data, each = likelihood.with_changes(shapes), np.eye(likelihood.data.shape[1])
-        unknowns = conditioned.means(likelihood.data, each)
+        whitened = conditioned.whitened(data)
+        unknowns = conditioned.factor.unwhiten(whitened[:, : len(each)])
         return cls(
             t=strides.t,
             present=n,
@@ -69,7 +70,7 @@ class Past:
             road_load=likelihood.road_load,
             references=model.references,
             equations=NormalEquations.of(likelihood, values, scales.free, scales.power_chance, shapes),
-            border=Border.of(model, conditioned.factor, conditioned.variance, t, data),
+            border=Border.of(model, conditioned.factor, conditioned.variance, t, data, whitened),
             corrections=Corrections.of(likelihood, values, shapes, before),
             road=RoadFound.of(likelihood, values, each, unknowns).of_those(nodes_before, before),
         )

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.gram import eliminated
 from estimator.model.linear_gaussian import Factor
 from estimator.model.road import RoadModel
 from estimator.signals import Floats, Mask
@@ -36,16 +35,18 @@ class Border:
     kinds: NDArray[np.int8]
 
     @classmethod
-    def of(cls, model: RoadModel, factor: Factor, variance: Floats, t: float, columns: Floats) -> "Border":
-        """Eliminate the driving before ``t`` [s], for data ``columns`` (sum of counts, c)."""
-        begin = model.place_at(t)
-        link, found = _link(factor.lower, begin), eliminated(factor, model.kinds, variance, columns, begin)
-        r, near = link.shape
+    def of(
+        cls, model: RoadModel, factor: Factor, variance: Floats, t: float, columns: Floats, whitened: Floats
+    ) -> "Border":
+        """Eliminate the driving before ``t`` [s], for data ``columns`` (sum of counts, c) and their W (size, c)."""
+        begin, link = model.place_at(t), _link(factor.lower, model.place_at(t))
+        before, (r, near) = model.before(begin), link.shape
+        weighed = np.where(np.concatenate(before)[:, None], columns / variance[:, None], 0.0)
         return cls(
             t=t,
-            information=model.information_of(model.before(begin), variance, begin, r) - link @ link.T,
-            rows=found.behind[:r] - link @ found.last[len(found.last) - near :],
-            products=found.products,
+            information=model.information_of(before, variance, begin, r) - link @ link.T,
+            rows=model.gathered(weighed)[begin : begin + r] - link @ whitened[begin - near : begin],
+            products=columns.T @ weighed - whitened[:begin].T @ whitened[:begin],
             kinds=model.kind_of[begin : begin + r],
         )
 

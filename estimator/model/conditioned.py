@@ -135,6 +135,10 @@ class Conditioned:
         products: Floats = data.T @ weighed - whitened.T @ whitened + self.border.products[:count, :count]
         return products
 
+    def whitened(self, data: Floats) -> Floats:
+        """Rows W (size, c) of data columns (sum of counts, c), without a border: F W = A' R^-1 Y, see `gram`."""
+        return self.factor.whiten(self.model.gathered(data / self.variance[:, None]))
+
     def _gathered(self, weighed: Floats, weights: Floats) -> Floats:
         """A' R^-1 Y W (size, d) of ``weighed`` R^-1 Y W (sum of counts, d), for ``weights`` W (c, d) of the columns."""
         rows = self.model.gathered(weighed)

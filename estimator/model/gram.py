@@ -11,7 +11,6 @@ Most columns of switching effects and of processes are zero at most times, and c
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,28 +26,8 @@ ELEMENTS = 2**18  # of a piece with all columns, 2 MB, as much as a cache holds:
 MIN_PIECE = 1024  # unknowns: in shorter pieces the products of columns that are zero take the most time
 
 
-@dataclass(frozen=True)
-class Eliminated:
-    """Unknowns before an end eliminated from c data columns Y.
-
-    ``products`` (c, c) is the part of Y' K^-1 Y of the data that depend on one of these unknowns, ``last`` (reach, c)
-    are the last elements of W before the end, and ``behind`` (reach, c) those of A' R^-1 Y of these data behind it.
-    """
-
-    products: Floats
-    last: Floats
-    behind: Floats
-
-
 def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: Floats, data: Rows) -> Floats:
-    """Y' K^-1 Y (c, c) of columns, with parameters as those of `eliminated`."""
-    return eliminated(factor, kinds, variance, data, factor.lower.shape[1]).products
-
-
-def eliminated(
-    factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: Floats, data: Rows, end: int
-) -> Eliminated:
-    """Eliminate the unknowns before the one with index ``end``.
+    """Y' K^-1 Y (c, c) of data columns.
 
     Parameters
     ----------
@@ -60,15 +39,13 @@ def eliminated(
         Diagonal (n,) of R: variances of the data given the unknowns.
     data
         Columns Y (n, c); sparse if most elements are zero.
-    end
-        Index of the first unknown that is not eliminated.
     """
     size, count = factor.lower.shape[1], data.shape[1]
     weight, whitened = 1 / np.sqrt(variance)[:, None], _Whitened(factor, count)
     product, behind = np.zeros((count, count)), np.zeros((count, whitened.reach))
     length = max(ELEMENTS // max(count, 1), MIN_PIECE, whitened.reach)
-    begins = [*range(0, max(end - whitened.reach, 1), length)]  # no piece but the only one is shorter than the reach
-    for begin, stop in zip(begins, [*begins[1:], end], strict=True):
+    begins = [*range(0, max(size - whitened.reach, 1), length)]  # no piece but the only one is shorter than the reach
+    for begin, stop in zip(begins, [*begins[1:], size], strict=True):
         width, parts = stop - begin, list[tuple[Observations, slice, NDArray[np.intp], Floats]]()
         is_active: Mask = np.any(behind, axis=1)
         for observed, rows in kinds:
@@ -91,7 +68,7 @@ def eliminated(
             next_behind[there, : added.shape[1] - width] += added[:, width:]
         behind = next_behind
         whitened.add(begin, is_active, gathered.T)
-    return Eliminated(product - whitened.product, whitened.last, behind.T)
+    return product - whitened.product
 
 
 def _nonzero_columns(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
@@ -115,29 +92,29 @@ class _Whitened:
 
     def __init__(self, factor: Factor, count: int) -> None:
         self._lower, self.reach = factor.lower, len(factor.lower) - 1
-        self.last = np.zeros((self.reach, count))  # elements before the next piece
+        self._last = np.zeros((self.reach, count))  # elements before the next piece
         self._row, self._column = np.indices((self.reach, self.reach))
         self.product = np.zeros((count, count))
 
     def add(self, begin: int, is_active: Mask, columns: Floats) -> None:
         """Add the piece of F W from row ``begin`` on: ``columns`` (m, k) of those that are ``is_active`` (c,)."""
         link = self._coupling(begin)[: len(columns)]
-        columns[: len(link)] += link @ self.last[:, is_active]
+        columns[: len(link)] += link @ self._last[:, is_active]
         W = self._solved(begin, columns)
         self.product[np.ix_(is_active, is_active)] += W.T @ W
-        last = np.zeros_like(self.last)
+        last = np.zeros_like(self._last)
         last[-len(W) :, is_active] = W[-self.reach :]  # of the last piece, which may be shorter, nothing is needed
-        going = np.flatnonzero(np.where(is_active, False, self.last.any(axis=0)))
+        going = np.flatnonzero(np.where(is_active, False, self._last.any(axis=0)))
         if len(going):
             answers = np.zeros((len(columns), self.reach), order="F")
             answers[: len(link)] = link
-            H, state = self._solved(begin, answers), self.last[:, going]
+            H, state = self._solved(begin, answers), self._last[:, going]
             self.product[np.ix_(going, going)] += state.T @ (H.T @ H) @ state
             cross = (W.T @ H) @ state
             self.product[np.ix_(is_active, going)] += cross
             self.product[np.ix_(going, is_active)] += cross.T
             last[-len(H) :, going] = H[-self.reach :] @ state
-        self.last = last
+        self._last = last
 
     def _coupling(self, begin: int) -> Floats:
         """Matrix (reach, reach) from elements before ``begin`` to their part of the right-hand side behind it."""

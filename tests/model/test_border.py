@@ -27,7 +27,8 @@ def likelihood(strides: Strides, like: Likelihood | None = None, border: Border 
 
 def border_of(earlier: Likelihood, scales: Floats, t: float) -> Border:
     conditioned = Conditioned.of(earlier.model, scales)
-    return Border.of(earlier.model, conditioned.factor, conditioned.variance, t, earlier.data)
+    whitened = conditioned.whitened(earlier.data)
+    return Border.of(earlier.model, conditioned.factor, conditioned.variance, t, earlier.data, whitened)
 
 
 def split(strides: Strides, at: int, begin: int, seed: int = 2, **road) -> tuple[Likelihood, Likelihood, np.ndarray]:
