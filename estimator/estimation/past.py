@@ -29,9 +29,9 @@ class Past:
     """The first strides of a drive at given scales, for fits of them with the strides that follow.
 
     ``t`` (n,) [s] are those of the strides, ``present`` is the number of those with a known force, and ``first`` the
-    number of the one with which the model of what follows begins. Scales are relative to ``references``, coefficients
-    to the unit of the ``equations``, which are of all of these strides. ``corrections`` and ``road``, the latter by
-    columns of the data, are of the driving before the ``border``.
+    number of the one with which the model of what follows begins. That model has the ``references`` of these strides,
+    and its coefficients the unit of the ``equations``, which are of all of them. ``corrections`` and ``road``, the
+    latter by columns of the data, are of the driving before the ``border``.
     """
 
     t: Floats
