@@ -45,7 +45,8 @@ def roadload(*arguments: str) -> list[str]:
 def used(command: list[str]) -> Row:
     """Seconds and peak memory of a command, started from a small process: a child's peak starts at its parent's."""
     told = subprocess.run([sys.executable, "-c", STARTER, *command], check=True, capture_output=True, text=True)
-    return json.loads(told.stdout)
+    found: Row = json.loads(told.stdout)
+    return found
 
 
 def decoded(path: str) -> Row:

@@ -90,7 +90,7 @@ class RoadScales:
         """The state that `restored` reads, without those that were lost."""
         return {
             "values": self.values,
-            "point": [self.point.turns, self.point.gearing, self.point.speed],
+            "point": np.array([self.point.turns, self.point.gearing, self.point.speed]),
             "alpha": self.alpha,
             "wander": self.wander,
             "readings": list(self.readings),
@@ -109,12 +109,11 @@ class RoadScales:
         StateError
             It is not one of scales of a road model.
         """
-        values, point = array(state, "values", (-1,)), read(state, "point", list[float])
+        values, point = array(state, "values", (-1,)), array(state, "point", (3,))
         readings = tuple(read(state, "readings", list[str]))
         alpha, wander, lag = read(state, "alpha", int), read(state, "wander", int), read(state, "lag", Count)
         chance, designed = read(state, "power_chance", float), read(state, "designed", bool)
-        whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0)
-        whole = whole and len(point) == 3 and min(point) > 0
+        whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0) and np.all(point > 0)
         if (
             alpha not in ALPHAS
             or wander not in (ROUGH, SMOOTH)
@@ -125,7 +124,7 @@ class RoadScales:
             raise StateError("scales: are not those of a road model")
         return cls(
             values=values,
-            point=OperatingPoint(*point),
+            point=OperatingPoint(*point.tolist()),
             alpha=alpha,
             wander=wander,
             readings=readings,

@@ -74,8 +74,8 @@ def test_a_state_gives_the_scales_back():
     assert replace(back, values=scales.values) == scales
 
 
-@pytest.mark.parametrize("point", [[], [100.0, 7.0], [100.0, 0.0, 10.0], [100.0, 7.0, 10.0, 1.0]])
+@pytest.mark.parametrize("point", [[100.0, 7.0], [100.0, 0.0, 10.0], [100.0, np.nan, 10.0], [100.0, 7.0, 10.0, 1.0]])
 def test_a_state_with_another_point_is_refused(point):
-    state = found_on(strides_of(seed=2), True).state() | {"point": point}
-    with pytest.raises(StateError, match="not those of a road model"):
+    state = found_on(strides_of(seed=2), True).state() | {"point": np.array(point)}
+    with pytest.raises(StateError, match=r"not those of a road model|point"):
         RoadScales.restored(state)
