@@ -16,12 +16,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bench_replay import by_hand
+from bench_replay import BY_HAND, by_hand
 from harness.check import Cells, Check, Figures, Table
 
 Row = dict[str, float]
 Rows = dict[str, Row]
-BY_HAND = "python-can + cantools, decode only"
 SIMULATED = ("--effect", "headwind=5", "--effect", "grade=0.01", "--route", "mixed", "--seed", "7")
 HOURLY = "[gate]\ninterval_s = 3600.0\n"
 STARTER = """

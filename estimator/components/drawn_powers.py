@@ -26,8 +26,11 @@ class DrawnPowers:
     @classmethod
     def of(cls, residual: Floats, powers: Mapping[str, Floats]) -> "DrawnPowers":
         """Products of a ``residual`` (k,) [W] and the ``powers`` (k, d) [W] of its causes."""
-        draws = np.array(list(powers.values())).transpose(2, 0, 1)
-        all_powers = np.concatenate([np.broadcast_to(residual, (len(draws), 1, len(residual))), draws], axis=1)
+        draws = next(iter(powers.values())).shape[1]
+        all_powers = np.empty((draws, 1 + len(powers), len(residual)))
+        all_powers[:, 0] = residual
+        for place, power in enumerate(powers.values(), start=1):
+            all_powers[:, place] = power.T
         return cls(causes=tuple(powers), products=all_powers @ all_powers.transpose(0, 2, 1), count=len(residual))
 
     @classmethod

@@ -109,10 +109,8 @@ def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
     """
     index = np.rint(t / STEP).astype(np.int64)
     least = int(index[-1] / FREQUENCY_STEP)
-    sizes = (
-        2**i * 3**j for i in range(least.bit_length() + 1) for j in range(8)
-    )  # that a Fourier transform is fast for
-    number = min(size for size in sizes if size >= least)
+    fast = (2**i * 3**j for i in range(least.bit_length() + 1) for j in range(8))  # lengths of a fast transform
+    number = min(length for length in fast if length >= least)
     frequencies = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, 1 / (number * STEP))
     lowest = np.zeros(number, dtype=np.complex128)  # turned so that the lowest frequency comes first
     lowest[index] = values * np.exp(2j * np.pi * frequencies[0] * t)

@@ -67,8 +67,8 @@ class TermGains:
 class _Update:
     """Terms (g,) of k columns, each added alone to a set; in the scaled units of the likelihood.
 
-    The amplitudes b of the set, without the base, change to b - W x, and their covariance S to S + W V W', with the
-    covariance V of the added amplitudes x.
+    The amplitudes b of the set, without the base, change to b - W x, and their covariance S to S + W V W'. V is the
+    covariance of the added amplitudes x, and W is S times the products of the columns of the set and the added ones.
     """
 
     gain: Floats  # (g,) in log evidence

@@ -198,6 +198,7 @@ def _searched(
 ) -> tuple[Likelihood, RoadScales, float]:
     """Return the outcome of a search that starts from the ``known`` scales where these are of the same signals."""
     if known is not None:
+        known = known.at(search.point)
         here = tuple(place for place in known.turns if strides.s0[0] < place[1] and place[0] < strides.s1[-1])
         known = replace(known, turns=here) if known.readings == search.model(known).reading_names else None
     return search.best(known, level)

@@ -6,6 +6,7 @@ that simple drives have need less of it: every further one has its price.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -46,6 +47,9 @@ def scaled_by(beta: Floats) -> Floats:
     return np.array([max(beta[1], MIN_ROLLING * STANDARD_GRAVITY), max(beta[2], MIN_DRAG), 1.0]) * m
 
 
+_Key = tuple[OperatingPoint | None, int, int, bool, bool, tuple[Place, ...]]  # what a model depends on
+
+
 class Search:
     """The search for the scales, the smoothness of the road and the nearest of LAGS."""
 
@@ -60,9 +64,15 @@ class Search:
     ) -> None:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
         self._departures, self._taken = departures, taken
-        self._models: dict[tuple[int, int, bool, bool, tuple[Place, ...]], RoadModel] = {}
+        self._models: dict[_Key, RoadModel] = {}
         self._known: RoadScales | None = None  # of the search before
         self._lost: list[RoadScales] = []
+
+    @cached_property
+    def point(self) -> OperatingPoint | None:
+        """Point of the strides, that new scales are found at; None where no engine speed is known."""
+        driven = self._strides[self._strides.known]
+        return OperatingPoint.of(driven) if np.isfinite(driven.gearing * driven.speed).any() else None
 
     def model(self, scales: RoadScales) -> RoadModel:
         """The strides' model that belongs to scales; kept."""
@@ -72,13 +82,13 @@ class Search:
         return self._models[key]
 
     @staticmethod
-    def _key(scales: RoadScales) -> tuple[int, int, bool, bool, tuple[Place, ...]]:
-        return (*scales.orders, scales.turns)
+    def _key(scales: RoadScales) -> "_Key":
+        return (scales.point, *scales.orders, scales.turns)
 
     def _model_like(self, scales: RoadScales) -> RoadModel:
         """A model that belongs to scales; one that is kept and differs in the road's design alone lends the rest."""
-        orders = scales.alpha, scales.wander, scales.has_power
-        base = next((model for (*others, _, _), model in self._models.items() if tuple(others) == orders), None)
+        *shared, _, _ = self._key(scales)
+        base = next((model for (*others, _, _), model in self._models.items() if others == shared), None)
         return scales.model_of(self._strides) if base is None else base.laid(scales.designed, scales.turns)
 
     def likelihood(self, scales: RoadScales) -> Likelihood:
@@ -100,8 +110,6 @@ class Search:
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
         """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
-        if known is not None:
-            known = known.at(OperatingPoint.of(self._strides[self._strides.known]))
         self._known = known
         try:
             scales, evidence = self._lagged(known or self.central(level))
@@ -133,7 +141,7 @@ class Search:
             values[SLOPE] = model.scales[SLOPE].low
         scales = RoadScales(
             values=values,
-            point=model.references.point,
+            point=self.point,
             alpha=model.alpha,
             wander=ROUGH,
             readings=model.reading_names,
@@ -164,7 +172,7 @@ class Search:
         if known is None:
             return other
         change = scales.values / known.values if known.orders == scales.orders else np.ones(len(scales.values))
-        ended = [replace(other, values=lost.values * change) for lost in known.lost if lost.orders == other.orders]
+        ended = [replace(other, values=_changed(lost, change)) for lost in known.lost if lost.orders == other.orders]
         evidence = self.likelihood(other).log_evidence
         return max([other, *ended], key=lambda scales: evidence(scales.values)) if ended else other
 
@@ -240,6 +248,13 @@ def _sharpest(likelihood: Likelihood, scales: RoadScales) -> list[Place]:
     edges = [np.searchsorted(nodes.s, place) for place in places]
     sharpness = np.array([bent[begin : end + 1].max() for begin, end in edges])
     return [places[i] for i in np.argsort(-sharpness, kind="stable")[:TRIED_TURNS]]
+
+
+def _changed(scales: RoadScales, change: Floats) -> Floats:
+    """Values of scales times a ``change`` (k,), but for those that the model does not have."""
+    values = scales.values.copy()
+    values[scales.free] *= change[scales.free]
+    return values
 
 
 def _other_noise(scales: RoadScales) -> RoadScales:

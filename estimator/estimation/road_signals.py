@@ -85,8 +85,7 @@ def _alone(strides: Strides, name: str, hidden: Likelihood, scales: Floats) -> f
     On a level road nothing links them to the motion, so the ``scales`` (k,) of a fit to that alone cancel.
     """
     start = np.append(scales[: len(SCALES)], [scale.centre for scale in SIGNAL_SCALES[name]])
-    point = hidden.model.references.point
-    level = RoadScales(values=start, alpha=LEVEL, wander=ROUGH, readings=(name,), lag=hidden.lag, point=point)
+    level = RoadScales(values=start, alpha=LEVEL, wander=ROUGH, readings=(name,), lag=hidden.lag, point=None)
 
     def likelihood(scales: RoadScales, shown: Strides) -> Likelihood:
         return Likelihood(scales.model_of(shown), (), hidden.road_load, hidden.lag)

@@ -1,11 +1,11 @@
 """Scales of road and noise that a search has found, with the orders of the model that they belong to."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from estimator.checkpoint.validation import Count, State, array, read
+from estimator.checkpoint.validation import Count, State, array, optional, read
 from estimator.errors import StateError
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_nodes import Place, References, warping
@@ -31,11 +31,12 @@ TURN_PRICE = 8.0
 class RoadScales:
     """Scales of road and noise (k,) in the order of `RoadModel.scales`, the orders of road and wander, and design.
 
-    Noise of the force has its scales at a ``point``. Other strides that they are used on may have another one.
+    Noise of the force has its scales at a ``point``. Other strides that they are used on may have another one. It is
+    None, for that of any strides, where no engine speed is known: gearings then have no unit.
     """
 
     values: Floats
-    point: OperatingPoint
+    point: OperatingPoint | None
     alpha: int  # of ALPHAS, or LEVEL
     wander: int  # order of the wander of the signals of the road
     readings: tuple[str, ...]  # those signals, whose scales are among the values
@@ -78,19 +79,25 @@ class RoadScales:
             strides, self.alpha, self.wander, self.has_power, self.designed, self.turns, self.point, references
         )
 
-    def at(self, point: OperatingPoint) -> "RoadScales":
-        """These scales, and those ``lost``, of the same noise at another ``point``."""
-        values = self.values.copy()
-        values[TORQUE] *= point.gearing / self.point.gearing
-        if self.has_power:
-            values[POWER] *= self.point.speed / point.speed
-        return replace(self, values=values, point=point, lost=tuple(lost.at(point) for lost in self.lost))
+    def at(self, point: OperatingPoint | None) -> "RoadScales":
+        """These scales, and those ``lost``, of the same noise at another ``point``; the usual engine speed stays.
+
+        Where either point is None, the values stay.
+        """
+        values, lost = self.values.copy(), tuple(lost.at(point) for lost in self.lost)
+        if point is not None and self.point is not None:
+            values[TORQUE] *= point.gearing / self.point.gearing
+            if self.has_power:
+                least = np.nextafter(SCALES[POWER].low, np.inf)
+                values[POWER] = max(values[POWER] * self.point.speed / point.speed, least)
+            point = replace(point, turns=self.point.turns)
+        return replace(self, values=values, point=point, lost=lost)
 
     def state(self) -> dict[str, Any]:
         """The state that `restored` reads, without those that were lost."""
         return {
             "values": self.values,
-            "point": np.array([self.point.turns, self.point.gearing, self.point.speed]),
+            "point": None if self.point is None else asdict(self.point),
             "alpha": self.alpha,
             "wander": self.wander,
             "readings": list(self.readings),
@@ -109,11 +116,11 @@ class RoadScales:
         StateError
             It is not one of scales of a road model.
         """
-        values, point = array(state, "values", (-1,)), array(state, "point", (3,))
+        values = array(state, "values", (-1,))
         readings = tuple(read(state, "readings", list[str]))
         alpha, wander, lag = read(state, "alpha", int), read(state, "wander", int), read(state, "lag", Count)
         chance, designed = read(state, "power_chance", float), read(state, "designed", bool)
-        whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0) and np.all(point > 0)
+        whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0)
         if (
             alpha not in ALPHAS
             or wander not in (ROUGH, SMOOTH)
@@ -124,7 +131,7 @@ class RoadScales:
             raise StateError("scales: are not those of a road model")
         return cls(
             values=values,
-            point=OperatingPoint(*point.tolist()),
+            point=optional(state, "point", _restored_point),
             alpha=alpha,
             wander=wander,
             readings=readings,
@@ -133,3 +140,10 @@ class RoadScales:
             turns=tuple((begin, end) for begin, end in array(state, "turns", (-1, 2)).tolist()),
             power_chance=chance,
         )
+
+
+def _restored_point(state: State) -> OperatingPoint:
+    turns, gearing, speed = (read(state, name, float) for name in ("turns", "gearing", "speed"))
+    if min(turns, gearing, speed) <= 0:
+        raise StateError("point: is not positive")
+    return OperatingPoint(turns, gearing, speed)

@@ -33,7 +33,7 @@ class OperatingPoint:
 
     @classmethod
     def of(cls, driven: Strides) -> "OperatingPoint":
-        """Medians of strides with a known force."""
+        """Medians of strides with a known force; where no engine speed is known, gearings are of 1 rad/s."""
         turns = driven.usual_turns
         return cls(turns, float(np.median(driven.filled_gearing(turns))), float(np.median(driven.speed)))
 

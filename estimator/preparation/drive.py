@@ -31,9 +31,10 @@ STATES = (Quantity.GEAR, Quantity.BRAKE, Quantity.FROZEN)  # between two of thei
 class Drive:
     """One drive of a vehicle: a whole log, or one of several drives in a log.
 
-    ``pieces`` are rows without a gap, in order of time. ``strides`` are those of all pieces, with all known context.
-    ``rests`` hold the power at standstills, ``rejected`` the number of rows in no stride of known force, by reason.
-    ``log`` is the number of the log, and ``log_start`` the time [s] at which it begins.
+    ``pieces`` are rows without a gap, in order of time; a diagnosis leaves them out, as it takes the strides alone.
+    ``strides`` are those of all pieces, with all known context. ``rests`` hold the power at standstills,
+    ``rejected`` the number of rows in no stride of known force, by reason. ``log`` is the number of the log, and
+    ``log_start`` the time [s] at which it begins.
     """
 
     pieces: tuple[Rows, ...]

@@ -407,7 +407,7 @@ def drive_end(drive) -> Frames:
         (("estimator", "window", "lengths"), "negative"),
         (("estimator", "inference", "loads", "shown", "covariance"), "negative"),
         (("estimator", "inference", "scales", "values"), "negative"),
-        (("estimator", "inference", "scales", "point"), "not finite"),
+        (("estimator", "inference", "scales", "point"), "other type"),
         (("estimator", "stage", "strider", "distance"), "not finite"),
         (("estimator", "inference", "generator"), "cut"),
         (("estimator", "stage", "rejected"), "other type"),

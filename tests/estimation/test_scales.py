@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dense_road import MIDDLE, scales_of, strides_of
+from made_strides import made_strides
 from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator.errors import StateError
-from estimator.estimation.road_fit import fit_given
+from estimator.estimation.road_fit import fit, fit_given
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.scales import RoadScales
 from estimator.model.road import ROUGH, RoadModel
@@ -31,6 +32,7 @@ def found_on(strides: Strides, power: bool, shown: tuple[str, ...] = ()) -> Road
 @pytest.mark.parametrize("power", [True, False])
 def test_at_another_point_the_same_noise_has_other_scales(power):
     strides = strides_of(seed=2)
+    strides.gearing[::7] = np.nan  # the engine's speed is not known there
     scales = found_on(strides, power)
     moved = scales.at(OTHER)
     assert moved.has_power is power
@@ -47,7 +49,7 @@ def test_those_lost_move_too():
     scales = found_on(strides_of(seed=2), True)
     moved = replace(scales, lost=(scales,)).at(OTHER)
     assert_array_equal(moved.lost[0].values, moved.values)
-    assert moved.lost[0].point == OTHER
+    assert moved.lost[0].point == moved.point == replace(OTHER, turns=scales.point.turns)
 
 
 @pytest.mark.parametrize("power", [True, False])
@@ -67,6 +69,55 @@ def test_the_scales_of_one_part_of_a_drive_are_the_same_noise_in_a_part_driven_i
     assert abs(unlike.mass_sd / here.mass_sd - 1) > 0.01
 
 
+def test_noise_of_the_power_near_its_bound_keeps_its_order():
+    scales = found_on(strides_of(seed=2), True)
+    scales.values[POWER] = 1.01 * SCALES[POWER].low
+    moved = scales.at(replace(OTHER, speed=3.0 * scales.point.speed))
+    assert moved.has_power
+    assert moved.values[POWER] == pytest.approx(SCALES[POWER].low)
+
+
+def test_scales_of_driving_without_an_engine_speed_are_those_of_any_point():
+    """Gearings then have no unit: the scales hold at the medians of whatever strides they are used on."""
+    strides = strides_of(300, seed=5, silence=300)
+    strides.gearing[:] = np.nan
+    found = fit(strides)
+    assert found is not None
+    assert found.scales.point is None
+    later = replace(strides, gearing=strides_of(300, seed=5, silence=300).gearing)
+    assert_allclose(found.scales.at(OTHER).values, found.scales.values)
+    model = found.scales.model_of(later)
+    assert model.references.point == OperatingPoint.of(later[later.known])
+    assert np.median(model.weight) == pytest.approx(1.0, rel=0.1)
+
+
+def in_two_gears() -> tuple[Strides, Strides]:
+    """Parts of a drive in a low and in a high gear, with noise of the torque that is proportional to the gearing."""
+    n, rng = 700, np.random.default_rng(6)
+    speed = 14.0 + 4.0 * np.sin(np.arange(n + 1) / 35) + np.cumsum(rng.normal(0.0, 0.05, n + 1))
+    v, gearing = 0.5 * (speed[1:] + speed[:-1]), np.where(np.arange(n) < 350, 16.0, 6.0)
+    force = 20e3 * np.diff(speed) + 1500.0 + 3.5 * v**2 + 20e3 * 0.004 * gearing * rng.normal(size=n)
+    made = replace(made_strides(speed, force, {}), gearing=gearing)
+    return made[:350], made[350:]
+
+
+def test_a_search_from_scales_of_another_gear_finds_those_of_a_fresh_one():
+    early, late = in_two_gears()
+    before = fit(early)
+    assert before is not None
+    fresh, found = fit(late), fit(late, known=before.scales)
+    assert fresh is not None
+    assert found is not None
+    assert found.references.point == found.scales.point
+    assert found.scales.point.gearing == fresh.scales.point.gearing == 6.0
+    assert found.scales.values[0] == pytest.approx(fresh.scales.values[0], rel=0.2)
+    assert found.mass_sd == pytest.approx(fresh.mass_sd, rel=0.1)
+    again = fit_given(late, found.scales)
+    assert again is not None
+    assert_allclose(again.beta[:3], found.beta[:3], rtol=1e-3)
+    assert again.mass_sd == pytest.approx(found.mass_sd, rel=0.01)
+
+
 def test_a_state_gives_the_scales_back():
     scales = replace(found_on(strides_of(seed=2), True), turns=((10.0, 20.0),), designed=True, power_chance=0.25)
     back = RoadScales.restored(scales.state())
@@ -74,8 +125,13 @@ def test_a_state_gives_the_scales_back():
     assert replace(back, values=scales.values) == scales
 
 
-@pytest.mark.parametrize("point", [[100.0, 7.0], [100.0, 0.0, 10.0], [100.0, np.nan, 10.0], [100.0, 7.0, 10.0, 1.0]])
-def test_a_state_with_another_point_is_refused(point):
-    state = found_on(strides_of(seed=2), True).state() | {"point": np.array(point)}
-    with pytest.raises(StateError, match=r"not those of a road model|point"):
-        RoadScales.restored(state)
+def test_so_does_one_without_a_point():
+    scales = replace(found_on(strides_of(seed=2), True), point=None)
+    assert RoadScales.restored(scales.state()).point is None
+
+
+@pytest.mark.parametrize("change", [{"gearing": 0.0}, {"turns": -1.0}, {"speed": np.nan}, {"speed": "10"}])
+def test_a_state_with_another_point_is_refused(change):
+    state = found_on(strides_of(seed=2), True).state()
+    with pytest.raises(StateError, match=r"point|speed"):
+        RoadScales.restored(state | {"point": state["point"] | change})
