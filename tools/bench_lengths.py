@@ -4,7 +4,7 @@
 
 Seconds are those of processor time, from the start of a process to its end, and the memory is its peak: compare ratios.
 The plain libraries decode the log and estimate nothing; their time is without that of their import.
-The drives are of one truck on mixed roads over hills that no signal shows, with a wind.
+The drives are of one truck with an altimeter, on mixed roads over hills, with a wind.
 """
 
 import argparse

@@ -39,8 +39,9 @@ class Border:
         cls, model: RoadModel, factor: Factor, variance: Floats, t: float, columns: Floats, whitened: Floats
     ) -> "Border":
         """Eliminate the driving before ``t`` [s], for data ``columns`` (sum of counts, c) and their W (size, c)."""
-        begin, link = model.place_at(t), _link(factor.lower, model.place_at(t))
-        before, (r, near) = model.before(begin), link.shape
+        begin = model.place_at(t)
+        before, link = model.before(begin), _link(factor.lower, begin)
+        r, near = link.shape
         weighed = np.where(np.concatenate(before)[:, None], columns / variance[:, None], 0.0)
         return cls(
             t=t,

@@ -130,14 +130,13 @@ class Conditioned:
         if self.border is None:
             return gram(self.factor, self.model.kinds, self.variance, data)
         assert isinstance(data, np.ndarray)
-        weighed, count = data / self.variance[:, None], data.shape[1]
-        whitened = self.factor.whiten(self._gathered(weighed, np.eye(count)))
-        products: Floats = data.T @ weighed - whitened.T @ whitened + self.border.products[:count, :count]
-        return products
+        count, whitened = data.shape[1], self.whitened(data)
+        products: Floats = data.T @ (data / self.variance[:, None]) - whitened.T @ whitened
+        return products + self.border.products[:count, :count]
 
     def whitened(self, data: Floats) -> Floats:
-        """Rows W (size, c) of data columns (sum of counts, c), without a border: F W = A' R^-1 Y, see `gram`."""
-        return self.factor.whiten(self.model.gathered(data / self.variance[:, None]))
+        """Rows W (size, c) of data columns (sum of counts, c): F W = A' R^-1 Y, see `gram`."""
+        return self.factor.whiten(self._gathered(data / self.variance[:, None], np.eye(data.shape[1])))
 
     def _gathered(self, weighed: Floats, weights: Floats) -> Floats:
         """A' R^-1 Y W (size, d) of ``weighed`` R^-1 Y W (sum of counts, d), for ``weights`` W (c, d) of the columns."""
