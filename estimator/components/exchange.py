@@ -30,34 +30,48 @@ def best_states(
     """
     b = len(s)
     on, changes = np.zeros(b, dtype=bool), Changes(costs)
-    first, last = np.triu_indices(b)
     ends = np.insert(np.cumsum(lengths), 0, 0.0)
-    short = (ends[last + 1] - ends[first] <= MAX_RUN) | single
-    first, last = first[short], last[short] + 1
+    furthest = np.full(b, b) if single else np.searchsorted(ends, ends[:-1] + MAX_RUN, side="right") - 1
+    furthest = np.maximum(furthest, np.arange(1, b + 1))  # a longer block is a run of its own
     corner = np.zeros((b + 1, b + 1))
     corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
-    run_strength = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
+    square, edge = corner.diagonal(), np.arange(b + 1) * (b + 2)
     best = 0.0
     for _ in range(MAX_EXCHANGES):
-        active = on.astype(float)
+        first, last = _runs(on, furthest)
+        active, switch = on.astype(float), np.where(on, -1.0, 1.0)
         score, strength = float(s @ active), float(active @ G @ active)
-        scores, crosses, counts = (np.insert(np.cumsum(values), 0, 0.0) for values in (s, G @ active, active))
-        in_run = counts[last] - counts[first]
-        runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # all of one state
-        begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
-        scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
+        scores, crosses = (np.insert(np.cumsum(values), 0, 0.0) for values in (switch * s, 2 * switch * (G @ active)))
+        between = 2 * corner.ravel()[edge[first] + last - first]
         gain = amplitude_evidence(
-            score + switch * scored, strength + 2 * switch * crossed + run_strength[runs], sd, positive
+            score + scores[last] - scores[first],
+            strength + (crosses + square)[last] - (crosses - square)[first] - between,
+            sd,
+            positive,
         )
-        gain -= changes.cost(on) + switch * changes.by_run(on, begin, end)
+        gain -= changes.cost(on) + switch[first] * changes.by_run(on, first, last)
         if single:
-            gain[np.count_nonzero(np.diff(np.pad(on, 1))) + switch * edges_by_run(on, begin, end) > 2] = -np.inf
+            gain[np.count_nonzero(np.diff(np.pad(on, 1))) + switch[first] * edges_by_run(on, first, last) > 2] = -np.inf
         k = int(np.argmax(gain))
         if gain[k] <= best + 1e-9:
             break
         best = float(gain[k])
-        on[begin[k] : end[k]] = switch[k] > 0
+        on[first[k] : last[k]] ^= True
     return on
+
+
+def _runs(on: Mask, furthest: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """All runs of blocks in one state: the first block (r,) of each, and the block (r,) after its last one.
+
+    A run ends before the block ``furthest`` (b,) for its first one.
+    """
+    b = len(on)
+    changed = np.append(np.flatnonzero(on[1:] != on[:-1]) + 1, b)  # blocks where the next state begins
+    reached = np.minimum(changed[np.searchsorted(changed, np.arange(b), side="right")], furthest)
+    counts = reached - np.arange(b)
+    first = np.repeat(np.arange(b), counts)
+    last = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts) + first + 1
+    return first, last
 
 
 class Changes:

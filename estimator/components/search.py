@@ -6,7 +6,6 @@ times of switching effects are proposed again.
 """
 
 from collections.abc import Sequence, Set
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -67,7 +66,7 @@ class Search:
     """Search among hypotheses of ``effects`` and nameless processes, on drives of one vehicle.
 
     Effects are searched first: a process allowed from the start could absorb an effect before the noise scales are
-    refitted.
+    refitted. Unusual noise, fitted without effects, may hide them: the search starts from usual noise then.
 
     Parameters
     ----------
@@ -83,19 +82,20 @@ class Search:
         self, drives: tuple[DriveState, ...], effects: Sequence[Effect], earlier_terms: EarlierTerms | None = None
     ) -> None:
         self._drives, self._effects, self._earlier_terms = drives, effects, earlier_terms or EarlierTerms()
+        self._start = tuple(drive.with_usual_noise() if drive.has_unusual_noise else drive for drive in drives)
         self._given = [drive.chosen for drive in drives]
         self._candidates = CandidateTerms(effects, self._given, self._earlier_terms)
         self._left_out = set[str]()  # names of effects that made all rounds from one start impossible
 
     @cached_property
     def _first_round(self) -> _Round:
-        return self._round(self._drives, FIRST_SIZE, with_processes=False, with_stretches=False)
+        return self._round(self._start, FIRST_SIZE, with_processes=False, with_stretches=False)
 
     @property
-    def first_effects(self) -> tuple[float, tuple[DriveState, ...]]:
-        """Gain in log posterior by the most probable effects of the first round, and the drives fitted with them."""
-        log_posterior, states = self._first_round.as_fitted
-        return log_posterior - log_evidence(self._drives), states
+    def first_log_posterior(self) -> float:
+        """Log posterior of the most probable effects of the first round; minus infinity if they are impossible."""
+        first_round = self._first_round
+        return -np.inf if self._impossible(first_round.states) else first_round.log_posterior
 
     @cached_property
     def effects_only(self) -> tuple[DriveState, ...]:
@@ -124,39 +124,19 @@ class Search:
     def _with_effects_only(self, min_log_posterior: float = -np.inf) -> tuple[DriveState, ...]:
         """Drives fitted with effects only. Tables are not kept, because they take megabytes.
 
-        The search starts from the drives as they are. If their noise is then unusual, which may hide effects, it also
-        starts from usual noise.
-
-        Raises
-        ------
-        _OutOfReachError
-            No start would reach ``min_log_posterior``.
-        """
-        fits = list[_Fit]()
-        with suppress(_OutOfReachError):
-            fits += self._effects_from(self._drives, min_log_posterior)
-        if any(drive.has_unusual_noise for drive in (fits[0][1] if fits else self._drives)):
-            with suppress(_OutOfReachError):
-                usual = tuple(drive.with_usual_noise() for drive in self._drives)
-                fits += self._effects_from(usual, min_log_posterior)
-        if not fits:
-            raise _OutOfReachError
-        return max(fits, key=lambda fit: fit[0])[1]
-
-    def _effects_from(self, start: tuple[DriveState, ...], min_log_posterior: float) -> list[_Fit]:
-        """Fit with effects found from a start. On a hidden road, the fits with stretches beside these and beside none.
-
-        Effects and stretches can absorb each other.
+        On a hidden road, the best of three fits: without stretches, with stretches beside the effects of the first, and
+        with stretches from the start. Effects and stretches can absorb each other.
 
         Raises
         ------
         _OutOfReachError
             The search would not reach ``min_log_posterior``.
         """
-        found = self._converged(start, min_log_posterior=min_log_posterior).as_fitted
-        if not any(drive.is_road_hidden for drive in start):
-            return [found]
-        return [found, *(self._converged(states, with_stretches=True).as_fitted for states in (found[1], start))]
+        fits = [self._converged(self._start, min_log_posterior=min_log_posterior).as_fitted]
+        if any(drive.is_road_hidden for drive in self._start):
+            starts = (fits[0][1], self._start)
+            fits += [self._converged(states, with_stretches=True).as_fitted for states in starts]
+        return max(fits, key=lambda fit: fit[0])[1]
 
     def _round(
         self,
@@ -227,7 +207,7 @@ class Search:
         highest, impossible = log_evidence(states), set[str]()
         value = highest
         for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
-            is_first = states is self._drives and not (with_processes or with_stretches or left_out)
+            is_first = states is self._start and not (with_processes or with_stretches or left_out)
             latest = (
                 self._first_round if is_first else self._round(states, size, with_processes, with_stretches, left_out)
             )

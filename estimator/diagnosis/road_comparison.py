@@ -29,7 +29,8 @@ def search(
 ) -> SearchResult:
     """Search for the effects and processes that act on the drives of ``cases``.
 
-    ``plain``: their fits by `fitted_cases`.
+    ``plain``: their fits by `fitted_cases`. Over hills, a search on a level road takes many rounds to explain them by
+    effects: it goes on for as long as it may have more evidence than the first round beside slopes.
     """
     present = {effect_term.effect.name for case in cases for effect_term in case.terms}
     candidates = [e for e in effects if not (e.is_absorbed or e.is_gravity or e.name in present)]
@@ -38,44 +39,38 @@ def search(
     earlier_terms = EarlierTerms()
     sloping = tuple(state for case in cases if (state := case.state(is_level=False)) is not None)
     sloping = sloping if len(sloping) == len(plain) else ()
-    level, slopes, search_on_level = None, _slopes(plain, sloping), Search(plain, candidates, earlier_terms)
-    if slopes < thresholds.min_log_bf_slopes_tried or _are_explained(slopes, search_on_level, sloping, thresholds):
-        level = search_on_level.result()
-        if any(drive.fit.terms for drive in level.drives):
-            slopes = _slopes(level.drives, sloping)
-    if not sloping or slopes < thresholds.min_log_bf_slopes_tried:
-        return replace(level or search_on_level.result(), slopes=slopes)
-    search_on_slopes = Search(sloping, candidates, earlier_terms)
-    return _on_either_road(plain, search_on_level, level, search_on_slopes, thresholds)
-
-
-def _are_explained(
-    slopes: float, search_on_level: Search, sloping: Sequence[DriveState], thresholds: Thresholds
-) -> bool:
-    """True if effects on a level road add more evidence than ``slopes`` [nats], which are insignificant beside them."""
-    gain, with_effects = search_on_level.first_effects
-    return gain > slopes and _slopes(with_effects, sloping) < thresholds.min_log_bf_slopes
+    slopes = _slopes(plain, sloping)
+    on_level, on_slopes = (Search(states, candidates, earlier_terms) for states in (plain, sloping))
+    level: SearchResult | None
+    if sloping and slopes >= thresholds.min_log_bf_slopes_tried:
+        level = on_level.result_above(on_slopes.first_log_posterior - thresholds.min_log_bf_slopes)
+    else:
+        level = on_level.result()
+    if level is not None and any(drive.fit.terms for drive in level.drives):
+        slopes = _slopes(level.drives, sloping)
+    if level is not None and (not sloping or slopes < thresholds.min_log_bf_slopes_tried):
+        return replace(level, slopes=slopes)
+    return _on_either_road(plain, on_level, level, on_slopes, thresholds)
 
 
 def _on_either_road(
     plain: Sequence[DriveState],
-    search_on_level: Search,
+    on_level: Search,
     level: SearchResult | None,
-    search_on_slopes: Search,
+    on_slopes: Search,
     thresholds: Thresholds,
 ) -> SearchResult:
     """The result with more evidence, on a level road or on a sloping one, of drives that seem to have slopes.
 
-    ``plain``: fits on a level road. ``level``: the result on it, if it is known. Over hills the search on a level road
-    takes many rounds to explain the slopes by effects, so it is second.
+    ``plain``: fits on a level road. ``level``: the result on it; None if it has less evidence than the first round of
+    the search on slopes.
     """
-    slopes = _slopes(search_on_slopes.effects_only, plain)
+    slopes = _slopes(on_slopes.effects_only, plain)
     if slopes < thresholds.min_log_bf_slopes:
-        return replace(level or search_on_level.result(), slopes=slopes)
-    result = search_on_slopes.result()
+        return replace(level or on_level.result(), slopes=slopes)
+    result = on_slopes.result()
     is_shown = _is_shown(result.drives, plain, thresholds)
     min_log_posterior = result.log_posterior - (0.0 if is_shown else thresholds.min_log_bf_slopes)
-    level = level or search_on_level.result_above(min_log_posterior)
     if level is not None and level.log_posterior > min_log_posterior:
         return replace(level, slopes=slopes)
     slopes = _slopes(result.drives, plain)

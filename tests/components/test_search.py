@@ -51,20 +51,25 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
 
 
 def rounds(
-    monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], *, stays_unusual: bool = False, **start: Any
+    monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], started: list[Any] | None = None, **start: Any
 ) -> float:
-    """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive."""
+    """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive.
+
+    The drive that each round starts from is added to ``started``.
+    """
     waiting = iter(script)
 
     class Scripted:
         def __init__(self, drives: tuple[Any, ...], *arguments: object) -> None:
             self.drives, (self.chosen, self.value) = drives, next(waiting)
+            if started is not None:
+                started.extend(drives)
 
         def groups(self) -> list[object]:
             return []
 
         def fitted(self, chosen: object) -> tuple[Any, ...]:
-            return (state(self.value, self.chosen, has_unusual_noise=stays_unusual),)
+            return (state(self.value, self.chosen),)
 
         def fitted_hypothesis(self) -> tuple[()]:
             return ()
@@ -121,14 +126,28 @@ def test_where_all_sets_are_impossible_the_search_starts_again_without_their_eff
     assert rounds(monkeypatch, script) == 10.2
 
 
-@pytest.mark.parametrize(("from_usual_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
-def test_where_noise_stays_large_effects_are_looked_for_from_the_usual_noise_too(monkeypatch, from_usual_noise, best):
-    script = [((1,), 29.5), ((1,), 30.0), ((2,), from_usual_noise - 0.5), ((2,), from_usual_noise)]
-    assert rounds(monkeypatch, script, stays_unusual=True, with_usual_noise=lambda: state(-50.0)) == best
+def test_where_noise_is_unusual_effects_are_searched_from_the_usual_noise(monkeypatch):
+    usual, started = state(-50.0), list[Any]()
+    script = [((1,), 29.5), ((1,), 30.0)]
+    found = rounds(monkeypatch, script, started, has_unusual_noise=True, with_usual_noise=lambda: usual)
+    assert (found, started[0] is usual) == (30.0, True)
 
 
-def test_where_the_effects_found_leave_usual_noise_the_search_does_not_start_again(monkeypatch):
-    assert rounds(monkeypatch, [((1,), 29.5), ((1,), 30.0)], has_unusual_noise=True) == 30.0
+def test_where_noise_is_usual_effects_are_searched_from_the_noise_of_the_drive(monkeypatch):
+    started = list[Any]()
+    rounds(monkeypatch, [((1,), 29.5), ((1,), 30.0)], started)
+    assert started[0].log_evidence == 0.0
+
+
+def test_the_first_round_counts_for_nothing_where_its_effects_are_impossible(monkeypatch):
+    assert first_log_posterior(monkeypatch, (1,)) == 30.0
+    assert first_log_posterior(monkeypatch, (IMPOSSIBLE,)) == -np.inf
+
+
+def first_log_posterior(monkeypatch: pytest.MonkeyPatch, chosen: tuple[int, ...]) -> float:
+    latest = SimpleNamespace(states=(state(30.0, chosen),), log_posterior=30.0)
+    monkeypatch.setattr(Search, "_round", lambda *arguments, **further: latest)
+    return Search((state(0.0),), ()).first_log_posterior
 
 
 # Times
@@ -338,13 +357,13 @@ def found_on_either_road(
     monkeypatch: pytest.MonkeyPatch,
     level: float,
     signals: float | None = None,
-    gain: float = 0.0,
+    first: float = -np.inf,
     slopes: Sequence[float] = (50.0,),
 ) -> tuple[SearchResult, list[str]]:
     """Result of a search whose drives have a log posterior of 100 beside slopes and ``level`` without, and its order.
 
-    ``gain`` by effects of the first round on a level road; ``slopes``: their log Bayes factors, one after the other, of
-    which the last holds from then on.
+    ``first``: log posterior after the first round beside slopes; ``slopes``: their log Bayes factors, one after the
+    other, of which the last holds from then on.
     """
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
     fit = SimpleNamespace(strides=np.zeros(9), scales=scales, terms=("an effect",))
@@ -354,8 +373,7 @@ def found_on_either_road(
 
     class Found:
         def __init__(self, drives: tuple[Any, ...], effects: object, earlier_terms: object) -> None:
-            self.road = drives[0].road
-            self.effects_only, self.first_effects = (drive,), (gain, (drive,))
+            self.road, self.effects_only, self.first_log_posterior = drives[0].road, (drive,), first
 
         def result(self) -> SearchResult:
             order.append(self.road)
@@ -379,19 +397,21 @@ def found_on_either_road(
 
 
 @pytest.mark.parametrize(
-    ("gain", "slopes", "order", "is_sloping"),
+    ("first", "slopes", "order", "is_sloping"),
     [
-        (60.0, (50.0, 3.0, 2.0), ["level"], False),  # effects explain the slopes
-        (60.0, (50.0, 3.0, 40.0), ["level", "sloping"], True),  # those of the first round do, but not all
-        (60.0, (50.0, 20.0), ["sloping"], True),  # slopes beside the effects
-        (40.0, (50.0, 20.0), ["sloping"], True),  # slopes explain more than effects
-        (0.0, (3.0, 3.0), ["level"], False),
+        (60.0, (50.0, 3.0), ["level"], False),  # effects explain the slopes
+        (60.0, (50.0, 40.0), ["level", "sloping"], True),  # slopes beside the effects of the level road
+        (94.0, (50.0, 3.0), ["level"], False),  # less evidence than beside slopes, but not by a significant step
+        (96.0, (50.0, 20.0), ["sloping"], True),  # the level road has less evidence than the first round beside slopes
+        (96.0, (50.0, 3.0), ["level"], False),  # which does without them once effects are fitted beside them
+        (0.0, (3.0, 3.0), ["level"], False),  # slopes are not tried
+        (0.0, (3.0, 40.0), ["level", "sloping"], True),  # they come with the effects
     ],
 )
-def test_the_level_road_is_searched_first_where_effects_explain_the_slopes(
-    monkeypatch, gain, slopes, order, is_sloping
+def test_the_level_road_is_searched_while_it_may_have_more_evidence_than_the_first_round_beside_slopes(
+    monkeypatch, first, slopes, order, is_sloping
 ):
-    found, searched = found_on_either_road(monkeypatch, 80.0, gain=gain, slopes=slopes)
+    found, searched = found_on_either_road(monkeypatch, 80.0, first=first, slopes=slopes)
     assert searched == order
     assert bool(found.is_sloping) == is_sloping
 
