@@ -88,16 +88,6 @@ class Search:
         self._left_out = set[str]()  # names of effects that made all rounds from one start impossible
 
     @cached_property
-    def _first_round(self) -> _Round:
-        return self._round(self._start, FIRST_SIZE, with_processes=False, with_stretches=False)
-
-    @property
-    def first_log_posterior(self) -> float:
-        """Log posterior of the most probable effects of the first round; minus infinity if they are impossible."""
-        first_round = self._first_round
-        return -np.inf if self._impossible(first_round.states) else first_round.log_posterior
-
-    @cached_property
     def effects_only(self) -> tuple[DriveState, ...]:
         """Drives fitted with the most probable effects, without any process."""
         return self._with_effects_only()
@@ -207,10 +197,7 @@ class Search:
         highest, impossible = log_evidence(states), set[str]()
         value = highest
         for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
-            is_first = states is self._start and not (with_processes or with_stretches or left_out)
-            latest = (
-                self._first_round if is_first else self._round(states, size, with_processes, with_stretches, left_out)
-            )
+            latest = self._round(states, size, with_processes, with_stretches, left_out)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
             previous, value = value, latest.log_posterior

@@ -10,7 +10,7 @@ from dataclasses import replace
 from estimator.components.candidate_terms import EarlierTerms
 from estimator.components.drive_state import DriveState
 from estimator.components.search import Search
-from estimator.components.search_result import SearchResult
+from estimator.components.search_result import SearchResult, log_evidence
 from estimator.diagnosis.case import Case
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
@@ -30,7 +30,7 @@ def search(
     """Search for the effects and processes that act on the drives of ``cases``.
 
     ``plain``: their fits by `fitted_cases`. Over hills, a search on a level road takes many rounds to explain them by
-    effects: it goes on for as long as it may have more evidence than the first round beside slopes.
+    effects: it goes on for as long as it may have more evidence than slopes without effects.
     """
     present = {effect_term.effect.name for case in cases for effect_term in case.terms}
     candidates = [e for e in effects if not (e.is_absorbed or e.is_gravity or e.name in present)]
@@ -43,7 +43,7 @@ def search(
     on_level, on_slopes = (Search(states, candidates, earlier_terms) for states in (plain, sloping))
     level: SearchResult | None
     if sloping and slopes >= thresholds.min_log_bf_slopes_tried:
-        level = on_level.result_above(on_slopes.first_log_posterior - thresholds.min_log_bf_slopes)
+        level = on_level.result_above(log_evidence(sloping) - thresholds.min_log_bf_slopes)
     else:
         level = on_level.result()
     if level is not None and any(drive.fit.terms for drive in level.drives):
@@ -62,8 +62,8 @@ def _on_either_road(
 ) -> SearchResult:
     """The result with more evidence, on a level road or on a sloping one, of drives that seem to have slopes.
 
-    ``plain``: fits on a level road. ``level``: the result on it; None if it has less evidence than the first round of
-    the search on slopes.
+    ``plain``: fits on a level road. ``level``: the result on it; None if it has less evidence than slopes without
+    effects.
     """
     slopes = _slopes(on_slopes.effects_only, plain)
     if slopes < thresholds.min_log_bf_slopes:

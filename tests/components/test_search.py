@@ -139,17 +139,6 @@ def test_where_noise_is_usual_effects_are_searched_from_the_noise_of_the_drive(m
     assert started[0].log_evidence == 0.0
 
 
-def test_the_first_round_counts_for_nothing_where_its_effects_are_impossible(monkeypatch):
-    assert first_log_posterior(monkeypatch, (1,)) == 30.0
-    assert first_log_posterior(monkeypatch, (IMPOSSIBLE,)) == -np.inf
-
-
-def first_log_posterior(monkeypatch: pytest.MonkeyPatch, chosen: tuple[int, ...]) -> float:
-    latest = SimpleNamespace(states=(state(30.0, chosen),), log_posterior=30.0)
-    monkeypatch.setattr(Search, "_round", lambda *arguments, **further: latest)
-    return Search((state(0.0),), ()).first_log_posterior
-
-
 # Times
 
 
@@ -357,13 +346,13 @@ def found_on_either_road(
     monkeypatch: pytest.MonkeyPatch,
     level: float,
     signals: float | None = None,
-    first: float = -np.inf,
+    plain: float = -np.inf,
     slopes: Sequence[float] = (50.0,),
 ) -> tuple[SearchResult, list[str]]:
     """Result of a search whose drives have a log posterior of 100 beside slopes and ``level`` without, and its order.
 
-    ``first``: log posterior after the first round beside slopes; ``slopes``: their log Bayes factors, one after the
-    other, of which the last holds from then on.
+    ``plain``: log evidence beside slopes without effects; ``slopes``: their log Bayes factors, one after the other, of
+    which the last holds from then on.
     """
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
     fit = SimpleNamespace(strides=np.zeros(9), scales=scales, terms=("an effect",))
@@ -373,7 +362,7 @@ def found_on_either_road(
 
     class Found:
         def __init__(self, drives: tuple[Any, ...], effects: object, earlier_terms: object) -> None:
-            self.road, self.effects_only, self.first_log_posterior = drives[0].road, (drive,), first
+            self.road, self.effects_only = drives[0].road, (drive,)
 
         def result(self) -> SearchResult:
             order.append(self.road)
@@ -388,7 +377,7 @@ def found_on_either_road(
         road_comparison, "_slopes", lambda states, sloping=(): values.pop(0) if values[1:] else values[0]
     )
     monkeypatch.setattr(road_comparison, "log_bayes_factor_of_signals", lambda strides, fit, starts: signals)
-    starts = {road: SimpleNamespace(fit=fit, road=road) for road in ("level", "sloping")}
+    starts = {road: SimpleNamespace(fit=fit, road=road, log_evidence=plain) for road in ("level", "sloping")}
     case = SimpleNamespace(
         terms=(), is_road_given=False, state=lambda is_level: starts["level" if is_level else "sloping"]
     )
@@ -397,21 +386,21 @@ def found_on_either_road(
 
 
 @pytest.mark.parametrize(
-    ("first", "slopes", "order", "is_sloping"),
+    ("plain", "slopes", "order", "is_sloping"),
     [
         (60.0, (50.0, 3.0), ["level"], False),  # effects explain the slopes
         (60.0, (50.0, 40.0), ["level", "sloping"], True),  # slopes beside the effects of the level road
-        (94.0, (50.0, 3.0), ["level"], False),  # less evidence than beside slopes, but not by a significant step
-        (96.0, (50.0, 20.0), ["sloping"], True),  # the level road has less evidence than the first round beside slopes
-        (96.0, (50.0, 3.0), ["level"], False),  # which does without them once effects are fitted beside them
+        (94.0, (50.0, 3.0), ["level"], False),  # less evidence than slopes, but not significantly
+        (96.0, (50.0, 20.0), ["sloping"], True),  # less evidence than slopes without effects
+        (96.0, (50.0, 3.0), ["level"], False),  # once effects are fitted beside the slopes, these are insignificant
         (0.0, (3.0, 3.0), ["level"], False),  # slopes are not tried
         (0.0, (3.0, 40.0), ["level", "sloping"], True),  # they come with the effects
     ],
 )
-def test_the_level_road_is_searched_while_it_may_have_more_evidence_than_the_first_round_beside_slopes(
-    monkeypatch, first, slopes, order, is_sloping
+def test_the_level_road_is_searched_while_it_may_have_more_evidence_than_slopes_without_effects(
+    monkeypatch, plain, slopes, order, is_sloping
 ):
-    found, searched = found_on_either_road(monkeypatch, 80.0, first=first, slopes=slopes)
+    found, searched = found_on_either_road(monkeypatch, 80.0, plain=plain, slopes=slopes)
     assert searched == order
     assert bool(found.is_sloping) == is_sloping
 
