@@ -41,16 +41,21 @@ class _Round:
         """Log evidence of the chosen hypothesis plus its log prior odds."""
         return log_evidence(self.states) + self.space.log_prior(self.chosen, self.space.groups())
 
+    @cached_property
+    def start_log_posterior(self) -> float:
+        """Log posterior of the hypothesis that the round starts with, at the scales that it starts from."""
+        return log_evidence(self.space.drives) + self.space.log_prior(
+            self.space.fitted_hypothesis(), self.space.groups()
+        )
+
     def expected_log_posterior(self, plain: float) -> float:
         """Log posterior if each of the terms up to MAX_TERMS that are still to come gains as much as this round.
 
         The gain is over the start of the round, or over the log evidence of the ``plain`` drives, which is more where
         the start has usual noise.
         """
-        start = log_evidence(self.space.drives)
-        start += self.space.log_prior(self.space.fitted_hypothesis(), self.space.groups())
         further = max(MAX_TERMS - len(self.chosen), 1)
-        return self.log_posterior + further * max(self.log_posterior - max(start, plain), 0.0)
+        return self.log_posterior + further * max(self.log_posterior - max(self.start_log_posterior, plain), 0.0)
 
     @property
     def as_fitted(self) -> _Fit:
@@ -194,12 +199,13 @@ class Search:
         to ``left_out``.
         """
         best: _Round | None = None
-        highest, impossible = log_evidence(states), set[str]()
-        value = highest
+        value, highest, impossible = -np.inf, -np.inf, set[str]()
         for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
             latest = self._round(states, size, with_processes, with_stretches, left_out)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
+            if size == FIRST_SIZE:
+                value = highest = latest.start_log_posterior
             previous, value = value, latest.log_posterior
             if best is not None and value < highest - ROUNDING:
                 break
@@ -211,7 +217,7 @@ class Search:
                 gain, best, highest = value - highest, latest, value
             else:  # a hypothesis that is impossible and stays so gains nothing
                 gain = abs(value - previous)
-            if len(latest.chosen) < latest.max_terms and gain < MIN_ROUND_GAIN:
+            if gain < (MIN_ROUND_GAIN if len(latest.chosen) < latest.max_terms else -ROUNDING):
                 break
         if best is None:
             left_out |= impossible
