@@ -187,8 +187,8 @@ class DriveState:
         present = {term.name for term in self.chosen}
         absent = [effect for effect in effects if effect.name not in present]
         untimed = [term for effect in absent for term in untimed_terms(frame, effect, quantities)]
-        joint, chosen = self.joint_with(untimed), list(range(len(self.chosen)))
-        gains = joint.gains(chosen, range(len(chosen), len(chosen) + len(untimed)))
+        joint, chosen = self.joint, list(range(len(self.chosen)))
+        gains = self.joint_with(untimed).gains(chosen, range(len(chosen), len(chosen) + len(untimed)))
         switching, best_terms = Switching(joint), dict[str, FittedTerm]()
         for effect in absent:
             numbers = [i for i, term in enumerate(untimed) if term.name == effect.name]

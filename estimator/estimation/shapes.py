@@ -31,6 +31,7 @@ from estimator.strides import Strides
 MAX_FITS = 5  # each beside finer shapes than the one before; 2 or 3 are usual
 MAX_ROUNDS = 10  # of shapes at the same scales: each takes the magnitudes of the one before
 MIN_GAIN = 0.1  # of log evidence, for another shape
+AT_ONCE = 32  # shapes judged with common products: none needs the products with the others
 FitBeside = Callable[[tuple[EffectTerm, ...], RoadScales | None], RoadFit | None]  # of terms, with scales to start from
 
 
@@ -135,6 +136,11 @@ class ShapeLikelihood:
 
         The last coefficient is that of the shape.
         """
+        batches = (shapes[start : start + AT_ONCE] for start in range(0, len(shapes), AT_ONCE))
+        gains, coefficients = zip(*(self._judged(beside, batch) for batch in batches), strict=True)
+        return np.concatenate(gains), np.concatenate(coefficients)
+
+    def _judged(self, beside: tuple[EffectTerm, ...], shapes: Sequence[EffectTerm]) -> tuple[Floats, Floats]:
         found, terms = self._found, (*beside, *shapes)
         likelihood = Likelihood(self._model, terms, found.road_load, found.scales.lag, found.departures, found.taken)
         gram = self._conditioned.gram(likelihood.data)

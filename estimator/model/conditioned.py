@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from estimator.model.border import Border
-from estimator.model.gram import Rows, gram
+from estimator.model.gram import Columns, gram
 from estimator.model.linear_gaussian import Factor, both_triangles
 from estimator.model.road import RoadModel
 from estimator.signals import Floats
@@ -125,7 +125,7 @@ class Conditioned:
         products: Floats = (by_torque.T @ by_torque.multiply(self._shares.of_torque[:, None])).toarray()
         return products, self._shares.of_torque_rate
 
-    def gram(self, data: Rows) -> Floats:
+    def gram(self, data: Columns) -> Floats:
         """Y' K^-1 Y (c, c) of data columns; with a border, the first of those eliminated there, and dense."""
         if self.border is None:
             return gram(self.factor, self.model.kinds, self.variance, data)

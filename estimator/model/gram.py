@@ -11,6 +11,7 @@ Most columns of switching effects and of processes are zero at most times, and c
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,13 +21,13 @@ from scipy.linalg.lapack import dtbtrs
 from estimator.model.linear_gaussian import Factor, Observations
 from estimator.signals import Floats, Mask
 
-Rows = Floats | sp.csr_array
+Columns = Floats | sp.csc_array
 
 ELEMENTS = 2**18  # of a piece with all columns, 2 MB, as much as a cache holds: a few columns go in one piece
 MIN_PIECE = 1024  # unknowns: in shorter pieces the products of columns that are zero take the most time
 
 
-def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: Floats, data: Rows) -> Floats:
+def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: Floats, data: Columns) -> Floats:
     """Y' K^-1 Y (c, c) of data columns.
 
     Parameters
@@ -41,17 +42,22 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
         Columns Y (n, c); sparse if most elements are zero.
     """
     size, count = factor.lower.shape[1], data.shape[1]
-    weight, whitened = 1 / np.sqrt(variance)[:, None], _Whitened(factor, count)
-    product, behind = np.zeros((count, count)), np.zeros((count, whitened.reach))
+    product = np.zeros((count, count))
+    weight, whitened = 1 / np.sqrt(variance)[:, None], _Whitened(factor, product)
+    behind = np.zeros((count, whitened.reach))
     length = max(ELEMENTS // max(count, 1), MIN_PIECE, whitened.reach)
     begins = [*range(0, max(size - whitened.reach, 1), length)]  # no piece but the only one is shorter than the reach
-    for begin, stop in zip(begins, [*begins[1:], size], strict=True):
+    pieces = list(pairwise([*begins, size]))
+    columns = _Columns(
+        data, [rows.start + observed.within(0, stop).stop for _, stop in pieces for observed, rows in kinds]
+    )
+    for begin, stop in pieces:
         width, parts = stop - begin, list[tuple[Observations, slice, NDArray[np.intp], Floats]]()
         is_active: Mask = np.any(behind, axis=1)
         for observed, rows in kinds:
-            part = observed.within(begin, begin + width)
+            part = observed.within(begin, stop)
             here = slice(rows.start + part.start, rows.start + part.stop)
-            there, values = _nonzero_columns(data, here)
+            there, values = columns.nonzero(here)
             if len(there):
                 scaled = values * weight[here]
                 product[np.ix_(there, there)] += scaled.T @ scaled
@@ -68,40 +74,54 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
             next_behind[there, : added.shape[1] - width] += added[:, width:]
         behind = next_behind
         whitened.add(begin, is_active, gathered.T)
-    return product - whitened.product
+    return product
 
 
-def _nonzero_columns(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
-    """Indices (k,) of columns with a non-zero element in the rows ``here`` (m,), and those columns (m, k)."""
-    if not isinstance(data, sp.csr_array):
-        rows = data[here]
-        there = np.flatnonzero(rows.any(axis=0))
-        return there, rows if len(there) == rows.shape[1] else rows[:, there]
-    ends = data.indptr[here.start : here.stop + 1]
-    indices, values = data.indices[ends[0] : ends[-1]], data.data[ends[0] : ends[-1]]
-    is_there = np.zeros(data.shape[1], dtype=np.bool_)
-    is_there[indices] = True
-    there, column_of = np.flatnonzero(is_there), np.cumsum(is_there) - 1
-    columns = np.zeros((len(ends) - 1, len(there)))
-    columns[np.repeat(np.arange(len(ends) - 1), np.diff(ends)), column_of[indices]] = values
-    return there, columns
+class _Columns:
+    """Columns of data (n, c), and the non-zero ones among them between two of ``ends``, rows that follow slices."""
+
+    def __init__(self, data: Columns, ends: Sequence[int]) -> None:
+        self._data = data
+        if not isinstance(data, np.ndarray):
+            data.sort_indices()
+            rows = np.array(sorted({0, *ends}), dtype=data.indices.dtype)
+            runs = pairwise(data.indptr.tolist())
+            places = [first + np.searchsorted(data.indices[first:stop], rows) for first, stop in runs]
+            self._places = dict(
+                zip(rows.tolist(), np.array(places).T, strict=True)
+            )  # of the first element from a row on
+
+    def nonzero(self, here: slice) -> tuple[NDArray[np.intp], Floats]:
+        """Indices (k,) of columns with a non-zero element in the rows ``here`` (m,), and those columns (m, k)."""
+        data = self._data
+        if isinstance(data, np.ndarray):
+            rows = data[here]
+            there = np.flatnonzero(rows.any(axis=0))
+            return there, rows if len(there) == rows.shape[1] else rows[:, there]
+        first = self._places[here.start]
+        counts = self._places[here.stop] - first
+        there = np.flatnonzero(counts)
+        counts = counts[there]
+        places = np.arange(counts.sum()) + np.repeat(first[there] - np.cumsum(counts) + counts, counts)
+        columns = np.zeros((here.stop - here.start, len(there)))
+        columns[data.indices[places] - here.start, np.repeat(np.arange(len(there)), counts)] = data.data[places]
+        return there, columns
 
 
 class _Whitened:
-    """Accumulates W' W (c, c) of ``count`` columns W that come in pieces."""
+    """Subtracts W' W from ``product`` (c, c), for columns W that come in pieces."""
 
-    def __init__(self, factor: Factor, count: int) -> None:
-        self._lower, self.reach = factor.lower, len(factor.lower) - 1
-        self._last = np.zeros((self.reach, count))  # elements before the next piece
+    def __init__(self, factor: Factor, product: Floats) -> None:
+        self._lower, self.reach, self._product = factor.lower, len(factor.lower) - 1, product
+        self._last = np.zeros((self.reach, len(product)))  # elements before the next piece
         self._row, self._column = np.indices((self.reach, self.reach))
-        self.product = np.zeros((count, count))
 
     def add(self, begin: int, is_active: Mask, columns: Floats) -> None:
         """Add the piece of F W from row ``begin`` on: ``columns`` (m, k) of those that are ``is_active`` (c,)."""
         link = self._coupling(begin)[: len(columns)]
         columns[: len(link)] += link @ self._last[:, is_active]
         W = self._solved(begin, columns)
-        self.product[np.ix_(is_active, is_active)] += W.T @ W
+        self._product[np.ix_(is_active, is_active)] -= W.T @ W
         last = np.zeros_like(self._last)
         last[-len(W) :, is_active] = W[-self.reach :]  # of the last piece, which may be shorter, nothing is needed
         going = np.flatnonzero(np.where(is_active, False, self._last.any(axis=0)))
@@ -109,10 +129,10 @@ class _Whitened:
             answers = np.zeros((len(columns), self.reach), order="F")
             answers[: len(link)] = link
             H, state = self._solved(begin, answers), self._last[:, going]
-            self.product[np.ix_(going, going)] += state.T @ (H.T @ H) @ state
+            self._product[np.ix_(going, going)] -= state.T @ (H.T @ H) @ state
             cross = (W.T @ H) @ state
-            self.product[np.ix_(is_active, going)] += cross
-            self.product[np.ix_(going, is_active)] += cross.T
+            self._product[np.ix_(is_active, going)] -= cross
+            self._product[np.ix_(going, is_active)] -= cross.T
             last[-len(H) :, going] = H[-self.reach :] @ state
         self._last = last
 

@@ -57,7 +57,7 @@ def products(Q, A, variance, data):
 def test_products_in_pieces_are_those_of_the_dense_covariance(is_sparse, seed):
     Q, A, kinds, variance, data = problem(seed)
     factor = Factor.of(precision_band(Q, A, variance))
-    found = gram(factor, kinds, variance, sp.csr_array(data) if is_sparse else data)
+    found = gram(factor, kinds, variance, sp.csc_array(data) if is_sparse else data)
     assert_allclose(found, products(Q, A, variance, data), rtol=1e-9, atol=1e-9)
 
 
@@ -66,5 +66,5 @@ def test_pieces_in_which_no_column_has_data_are_passed_over():
     Q, A, kinds, variance, data = problem(4, is_dense=False)
     data[:60] = data[70:100] = 0.0
     data[65:68, 3] = data[104:, 5] = 1.0
-    found = gram(Factor.of(precision_band(Q, A, variance)), kinds, variance, sp.csr_array(data))
+    found = gram(Factor.of(precision_band(Q, A, variance)), kinds, variance, sp.csc_array(data))
     assert_allclose(found, products(Q, A, variance, data), rtol=1e-9, atol=1e-9)
