@@ -111,7 +111,7 @@ class Search:
         return self._result(last_round)
 
     def _result(self, last_round: _Round) -> SearchResult:
-        ranking = ranked(self._drives, self._effects)
+        ranking = ranked([drive.bare() for drive in self._drives], self._effects)
         return search_result(
             last_round.space, last_round.table, last_round.chosen, last_round.states, ranking, self._effects
         )
