@@ -10,7 +10,7 @@ column that is zero in a piece, with last elements c, continues as H c and adds 
 Most columns of switching effects and of processes are zero at most times, and cost little there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from itertools import pairwise
 
 import numpy as np
@@ -48,9 +48,8 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
     length = max(ELEMENTS // max(count, 1), MIN_PIECE, whitened.reach)
     begins = [*range(0, max(size - whitened.reach, 1), length)]  # no piece but the only one is shorter than the reach
     pieces = list(pairwise([*begins, size]))
-    columns = _Columns(
-        data, [rows.start + observed.within(0, stop).stop for _, stop in pieces for observed, rows in kinds]
-    )
+    ends = {rows.start + observed.within(0, stop).stop for _, stop in pieces for observed, rows in kinds}
+    columns = _Columns(data, {*ends, *(rows.start for _, rows in kinds)})
     for begin, stop in pieces:
         width, parts = stop - begin, list[tuple[Observations, slice, NDArray[np.intp], Floats]]()
         is_active: Mask = np.any(behind, axis=1)
@@ -78,18 +77,18 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
 
 
 class _Columns:
-    """Columns of data (n, c), and the non-zero ones among them between two of ``ends``, rows that follow slices."""
+    """Columns of data (n, c), for pieces of rows between two of ``edges``; those that are zero there are left out."""
 
-    def __init__(self, data: Columns, ends: Sequence[int]) -> None:
+    def __init__(self, data: Columns, edges: Set[int]) -> None:
         self._data = data
+        self._first: dict[int, NDArray[np.int64]] = {}  # by row, number (c,) of the first element from that row on
         if not isinstance(data, np.ndarray):
             data.sort_indices()
-            rows = np.array(sorted({0, *ends}), dtype=data.indices.dtype)
-            runs = pairwise(data.indptr.tolist())
-            places = [first + np.searchsorted(data.indices[first:stop], rows) for first, stop in runs]
-            self._places = dict(
-                zip(rows.tolist(), np.array(places).T, strict=True)
-            )  # of the first element from a row on
+            rows = np.array(sorted(edges), dtype=data.indices.dtype)
+            numbers = [
+                begin + np.searchsorted(data.indices[begin:end], rows) for begin, end in pairwise(data.indptr.tolist())
+            ]
+            self._first = dict(zip(rows.tolist(), np.array(numbers).T, strict=True))
 
     def nonzero(self, here: slice) -> tuple[NDArray[np.intp], Floats]:
         """Indices (k,) of columns with a non-zero element in the rows ``here`` (m,), and those columns (m, k)."""
@@ -98,13 +97,12 @@ class _Columns:
             rows = data[here]
             there = np.flatnonzero(rows.any(axis=0))
             return there, rows if len(there) == rows.shape[1] else rows[:, there]
-        first = self._places[here.start]
-        counts = self._places[here.stop] - first
-        there = np.flatnonzero(counts)
-        counts = counts[there]
-        places = np.arange(counts.sum()) + np.repeat(first[there] - np.cumsum(counts) + counts, counts)
+        first, end = self._first[here.start], self._first[here.stop]
+        there = np.flatnonzero(end > first)
+        counts = (end - first)[there]
+        elements = np.arange(counts.sum()) + np.repeat(end[there] - np.cumsum(counts), counts)
         columns = np.zeros((here.stop - here.start, len(there)))
-        columns[data.indices[places] - here.start, np.repeat(np.arange(len(there)), counts)] = data.data[places]
+        columns[data.indices[elements] - here.start, np.repeat(np.arange(len(there)), counts)] = data.data[elements]
         return there, columns
 
 
