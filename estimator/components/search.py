@@ -199,24 +199,24 @@ class Search:
         to ``left_out``.
         """
         best: _Round | None = None
-        value, highest, impossible = -np.inf, -np.inf, set[str]()
+        highest, highest_impossible, impossible = -np.inf, -np.inf, set[str]()
         for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
             latest = self._round(states, size, with_processes, with_stretches, left_out)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
             if size == FIRST_SIZE:
-                value = highest = latest.start_log_posterior
-            previous, value = value, latest.log_posterior
+                highest = latest.start_log_posterior
+            value = latest.log_posterior
             if best is not None and value < highest - ROUNDING:
                 break
             states = latest.states
             for number, effect_term, magnitude in latest.space.rivals(latest.table):
                 self._earlier_terms.add_effect_term(number, effect_term, magnitude)
             impossible = self._impossible(states)
-            if not impossible:
+            if impossible:
+                gain, highest_impossible = value - highest_impossible, max(value, highest_impossible)
+            else:
                 gain, best, highest = value - highest, latest, value
-            else:  # a hypothesis that is impossible and stays so gains nothing
-                gain = abs(value - previous)
             if gain < (MIN_ROUND_GAIN if len(latest.chosen) < latest.max_terms else -ROUNDING):
                 break
         if best is None:
