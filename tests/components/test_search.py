@@ -125,6 +125,11 @@ def test_rounds_end_where_an_impossible_set_comes_again_with_the_same_evidence(m
     assert rounds(monkeypatch, script) == 10.0
 
 
+def test_rounds_end_where_an_impossible_set_is_less_probable_than_one_before_it(monkeypatch):
+    script = [((IMPOSSIBLE,), 30.0), ((1, IMPOSSIBLE), 20.0), ((1,), 10.0), ((1,), 10.2)]
+    assert rounds(monkeypatch, script) == 10.2
+
+
 def test_where_all_sets_are_impossible_the_search_starts_again_without_their_effects(monkeypatch):
     script = [((IMPOSSIBLE,), 30.0), ((IMPOSSIBLE,), 30.2), ((1,), 10.0), ((1,), 10.2)]
     assert rounds(monkeypatch, script) == 10.2
