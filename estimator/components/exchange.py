@@ -17,7 +17,7 @@ from estimator.components.time_prior import Costs
 from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
 from estimator.signals import Floats, Mask
 
-MAX_RUN = 2000.0  # s, of blocks exchanged at once
+MAX_RUN = 2000.0  # s, of several blocks exchanged at once
 MAX_EXCHANGES = 60  # bounds the run time
 
 
@@ -32,7 +32,7 @@ def best_states(
     on, changes = np.zeros(b, dtype=bool), Changes(costs)
     ends = np.insert(np.cumsum(lengths), 0, 0.0)
     furthest = np.full(b, b) if single else np.searchsorted(ends, ends[:-1] + MAX_RUN, side="right") - 1
-    furthest = np.maximum(furthest, np.arange(1, b + 1))  # a longer block is a run of its own
+    furthest = np.maximum(furthest, np.arange(1, b + 1))
     corner = np.zeros((b + 1, b + 1))
     corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
     square, edge = corner.diagonal(), np.arange(b + 1) * (b + 2)

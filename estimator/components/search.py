@@ -87,10 +87,13 @@ class Search:
         self, drives: tuple[DriveState, ...], effects: Sequence[Effect], earlier_terms: EarlierTerms | None = None
     ) -> None:
         self._drives, self._effects, self._earlier_terms = drives, effects, earlier_terms or EarlierTerms()
-        self._start = tuple(drive.with_usual_noise() if drive.has_unusual_noise else drive for drive in drives)
         self._given = [drive.chosen for drive in drives]
         self._candidates = CandidateTerms(effects, self._given, self._earlier_terms)
         self._left_out = set[str]()  # names of effects that made all rounds from one start impossible
+
+    @cached_property
+    def _start(self) -> tuple[DriveState, ...]:
+        return tuple(drive.with_usual_noise() if drive.has_unusual_noise else drive for drive in self._drives)
 
     @cached_property
     def effects_only(self) -> tuple[DriveState, ...]:
@@ -204,7 +207,7 @@ class Search:
             latest = self._round(states, size, with_processes, with_stretches, left_out)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
-            if size == FIRST_SIZE:
+            if size == FIRST_SIZE and not left_out:  # a start with an effect that is left out is no measure
                 highest = latest.start_log_posterior
             value = latest.log_posterior
             if best is not None and value < highest - ROUNDING:
@@ -217,7 +220,8 @@ class Search:
                 gain, highest_impossible = value - highest_impossible, max(value, highest_impossible)
             else:
                 gain, best, highest = value - highest, latest, value
-            if gain < (MIN_ROUND_GAIN if len(latest.chosen) < latest.max_terms else -ROUNDING):
+            may_grow = len(latest.chosen) == latest.max_terms
+            if (gain < MIN_ROUND_GAIN and not may_grow) or (gain < -ROUNDING and not impossible):
                 break
         if best is None:
             left_out |= impossible

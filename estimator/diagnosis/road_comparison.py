@@ -62,7 +62,7 @@ def _on_either_road(
 ) -> SearchResult:
     """The result with more evidence, on a level road or on a sloping one, of drives that seem to have slopes.
 
-    ``plain``: fits on a level road. ``level``: the result on it; None if it has less evidence than slopes without
+    ``plain``: fits on a level road. ``level``: the result on it; None if it is not expected to reach slopes without
     effects.
     """
     slopes = _slopes(on_slopes.effects_only, plain)

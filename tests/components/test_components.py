@@ -318,6 +318,14 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
     assert evidence(one) <= max(map(evidence, once)) + 1e-9
 
 
+def test_a_block_before_a_long_pause_may_be_on_alone_but_in_no_longer_run():
+    G, s, lengths = 30 * np.eye(3), np.array([60.0, 60.0, -60.0]), np.array([100.0, 3600.0, 100.0])
+    none = [Costs(0.0, 0.0, 0.0)] * 2
+    assert exchange.best_states(G, s * [-1, 1, 1], 2.0, True, False, lengths, none).tolist() == [False, True, False]
+    assert exchange.best_states(G, s, 2.0, True, False, lengths, none).tolist() == [True, True, False]
+    assert exchange.best_states(G, s, 2.0, True, True, lengths, none).tolist() == [True, True, False]
+
+
 def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():
     rng = np.random.default_rng(1)
     first, last = np.triu_indices(12)

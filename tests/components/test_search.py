@@ -126,8 +126,13 @@ def test_rounds_end_where_an_impossible_set_comes_again_with_the_same_evidence(m
 
 
 def test_rounds_end_where_an_impossible_set_is_less_probable_than_one_before_it(monkeypatch):
-    script = [((IMPOSSIBLE,), 30.0), ((1, IMPOSSIBLE), 20.0), ((1,), 10.0), ((1,), 10.2)]
+    script = [((1, IMPOSSIBLE), 30.0), ((1, IMPOSSIBLE), 20.0), ((1,), 10.0), ((1,), 10.2)]
     assert rounds(monkeypatch, script) == 10.2
+
+
+def test_rounds_go_on_while_impossible_sets_grow(monkeypatch):
+    script = [((1,), 10.0), ((1, 2, IMPOSSIBLE), 30.0), ((1, 2, 3, IMPOSSIBLE), 29.0), ((1, 2, 3), 25.0), ((1,), 24.0)]
+    assert rounds(monkeypatch, script) == 25.0
 
 
 def test_where_all_sets_are_impossible_the_search_starts_again_without_their_effects(monkeypatch):
