@@ -8,6 +8,7 @@ times of switching effects are proposed again.
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from estimator.components.search_result import SearchResult, log_evidence, ranke
 from estimator.model.effects.effect import Effect
 
 FIRST_SIZE = 2  # terms at most, of hypotheses in the first round
-MAX_ROUNDS = 20  # of table and scales, each found beside the other
 MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
 ROUNDING = 1e-6  # of log evidence, by which a round that finds the same hypothesis and scales again may differ
 
@@ -203,7 +203,7 @@ class Search:
         """
         best: _Round | None = None
         highest, highest_impossible, impossible = -np.inf, -np.inf, set[str]()
-        for size in range(FIRST_SIZE, FIRST_SIZE + MAX_ROUNDS):
+        for size in count(FIRST_SIZE):
             latest = self._round(states, size, with_processes, with_stretches, left_out)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
                 raise _OutOfReachError
@@ -220,8 +220,8 @@ class Search:
                 gain, highest_impossible = value - highest_impossible, max(value, highest_impossible)
             else:
                 gain, best, highest = value - highest, latest, value
-            may_grow = len(latest.chosen) == latest.max_terms
-            if (gain < MIN_ROUND_GAIN and not may_grow) or (gain < -ROUNDING and not impossible):
+            may_grow = len(latest.chosen) == latest.max_terms  # not beyond MAX_TERMS, where each round has to gain
+            if not (gain >= MIN_ROUND_GAIN or may_grow):
                 break
         if best is None:
             left_out |= impossible

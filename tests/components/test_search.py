@@ -98,10 +98,6 @@ def test_rounds_go_on_while_the_set_grows_or_its_evidence_does(monkeypatch):
     assert rounds(monkeypatch, [((1, 2), 30.0), ((1, 2, 3), 30.2), ((1, 2, 3), 35.0), ((1, 2, 3), 35.3)]) == 35.3
 
 
-def test_rounds_end_with_one_that_has_less_evidence_than_their_start(monkeypatch):
-    assert rounds(monkeypatch, [((1, 2), -1.0)]) == -1.0
-
-
 def test_rounds_end_with_one_that_hardly_gains(monkeypatch):
     assert rounds(monkeypatch, [((1,), 30.0), ((1,), 30.5)]) == 30.5
 
