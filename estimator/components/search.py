@@ -122,19 +122,33 @@ class Search:
     def _with_effects_only(self, min_log_posterior: float = -np.inf) -> tuple[DriveState, ...]:
         """Drives fitted with effects only. Tables are not kept, because they take megabytes.
 
-        On a hidden road, the best of three fits: without stretches, with stretches beside the effects of the first, and
-        with stretches from the start. Effects and stretches can absorb each other.
+        If the noise of the drives is unusual, and remains so beside the effects found from usual noise, the search also
+        starts from the drives as they are.
 
         Raises
         ------
         _OutOfReachError
             The search would not reach ``min_log_posterior``.
         """
-        fits = [self._converged(self._start, min_log_posterior=min_log_posterior).as_fitted]
-        if any(drive.is_road_hidden for drive in self._start):
-            starts = (fits[0][1], self._start)
-            fits += [self._converged(states, with_stretches=True).as_fitted for states in starts]
+        fits = self._effects_from(self._start, min_log_posterior)
+        if all(any(drive.has_unusual_noise for drive in states) for states in (self._drives, fits[0][1])):
+            fits += self._effects_from(self._drives, -np.inf)
         return max(fits, key=lambda fit: fit[0])[1]
+
+    def _effects_from(self, start: tuple[DriveState, ...], min_log_posterior: float) -> list[_Fit]:
+        """Fit with effects found from a start. On a hidden road, the fits with stretches beside these and beside none.
+
+        Effects and stretches can absorb each other.
+
+        Raises
+        ------
+        _OutOfReachError
+            The search would not reach ``min_log_posterior``.
+        """
+        found = self._converged(start, min_log_posterior=min_log_posterior).as_fitted
+        if not any(drive.is_road_hidden for drive in start):
+            return [found]
+        return [found, *(self._converged(states, with_stretches=True).as_fitted for states in (found[1], start))]
 
     def _round(
         self,

@@ -51,7 +51,12 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
 
 
 def rounds(
-    monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], started: list[Any] | None = None, **start: Any
+    monkeypatch: pytest.MonkeyPatch,
+    script: Sequence[Round],
+    started: list[Any] | None = None,
+    *,
+    stays_unusual: bool = False,
+    **start: Any,
 ) -> float:
     """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive.
 
@@ -69,7 +74,7 @@ def rounds(
             return []
 
         def fitted(self, chosen: object) -> tuple[Any, ...]:
-            return (state(self.value, self.chosen),)
+            return (state(self.value, self.chosen, has_unusual_noise=stays_unusual),)
 
         def fitted_hypothesis(self) -> tuple[()]:
             return ()
@@ -141,6 +146,15 @@ def test_where_noise_is_unusual_effects_are_searched_from_the_usual_noise(monkey
     script = [((1,), 29.5), ((1,), 30.0)]
     found = rounds(monkeypatch, script, started, has_unusual_noise=True, with_usual_noise=lambda: usual)
     assert (found, started[0] is usual) == (30.0, True)
+
+
+@pytest.mark.parametrize(("from_its_own_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
+def test_where_noise_stays_unusual_effects_are_searched_from_that_of_the_drive_too(
+    monkeypatch, from_its_own_noise, best
+):
+    script = [((1,), 29.5), ((1,), 30.0), ((2,), from_its_own_noise - 0.5), ((2,), from_its_own_noise)]
+    unusual: dict[str, Any] = {"has_unusual_noise": True, "with_usual_noise": lambda: state(-50.0)}
+    assert rounds(monkeypatch, script, stays_unusual=True, **unusual) == best
 
 
 def test_where_noise_is_usual_effects_are_searched_from_the_noise_of_the_drive(monkeypatch):
