@@ -35,17 +35,16 @@ def best_states(
     furthest = np.maximum(furthest, np.arange(1, b + 1))
     corner = np.zeros((b + 1, b + 1))
     corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
-    square, edge = corner.diagonal(), np.arange(b + 1) * (b + 2)
+    square = corner.diagonal()  # a run has the strength square[first] + square[last] - 2 corner[first, last]
     best = 0.0
     for _ in range(MAX_EXCHANGES):
         first, last = _runs(on, furthest)
         active, switch = on.astype(float), np.where(on, -1.0, 1.0)
         score, strength = float(s @ active), float(active @ G @ active)
         scores, crosses = (np.insert(np.cumsum(values), 0, 0.0) for values in (switch * s, 2 * switch * (G @ active)))
-        between = 2 * corner.ravel()[edge[first] + last - first]
         gain = amplitude_evidence(
             score + scores[last] - scores[first],
-            strength + (crosses + square)[last] - (crosses - square)[first] - between,
+            strength + (crosses + square)[last] - (crosses - square)[first] - 2 * corner[first, last],
             sd,
             positive,
         )

@@ -71,7 +71,7 @@ class Search:
     """Search among hypotheses of ``effects`` and nameless processes, on drives of one vehicle.
 
     Effects are searched first: a process allowed from the start could absorb an effect before the noise scales are
-    refitted. Unusual noise, fitted without effects, may hide them: the search starts from usual noise then.
+    refitted. Unusual noise, fitted without effects, may hide them: the search starts from usual noise first.
 
     Parameters
     ----------
