@@ -75,10 +75,10 @@ class EarlierTerms:
 class CandidateTerms:
     """Candidate terms on the drives of one vehicle: of ``effects``, beside the terms ``given`` for each drive.
 
-    Fitted times of effects come from four proposals. Those beside the latest chosen terms are renewed once these or
-    their times change, or the slow noise halves or doubles. Those of fits without timed terms and stretches are kept.
-    Those that replace all timed terms are renewed with the first stretches of road, and with effects of other names,
-    because two effects may share times. Those of earlier searches, in ``earlier_terms``, are reused.
+    Fitted times of effects are proposed beside the latest chosen terms, and for two chosen effects together, between
+    which runs may pass. These are renewed once the chosen terms or their times change, or the slow noise halves or
+    doubles. Those of fits without timed terms and stretches are kept. Those of earlier searches, in ``earlier_terms``,
+    are reused.
 
     Shapes near those of chosen effects are candidates, and so are shapes near those in ``earlier_terms``.
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.
@@ -87,9 +87,10 @@ class CandidateTerms:
     def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Term]], earlier_terms: EarlierTerms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
         self._given, self._earlier_terms = given, earlier_terms
+        # Times of two chosen effects together, by name, on the drive of each number.
+        self.handed_over: dict[int, list[dict[str, Spans]]] = defaultdict(list)
         self._latest: dict[int, _Proposed] = {}
         self._untimed: dict[int, set[Spans]] = defaultdict(set)
-        self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
         self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
 
@@ -110,24 +111,22 @@ class CandidateTerms:
             yield from _nameless(frame, drive, times, len(self._given[number]))
 
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
-        """Times at which effects may act: those of chosen terms, unions of two of these, and the proposed ones."""
+        """Times at which effects may act: those of chosen terms, and the proposed ones."""
         steep = None if drive.stretches is None else drive.stretches.spans
         chosen = (*((effect_term.effect.name, effect_term.spans) for effect_term in drive.fit.terms), steep)
         if number not in self._latest or self._latest[number].is_outdated(chosen, drive):
             switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_road_hidden else [])]
             times = set[Spans]().union(*map(switching.proposed, timed))
-            self._latest[number] = _Proposed(chosen, slow_noise(drive.fit.scales.values), times)
             if steep is None and not any(term.is_timed for term in drive.chosen):
                 self._untimed[number] |= times
-            names = frozenset(term.name for term in drive.chosen), steep is None
-            if number not in self._instead or self._instead[number][0] != names:
-                self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
+            acting = [effect for effect in self._timed if any(term.name == effect.name for term in drive.chosen)]
+            self.handed_over[number] = list(map(switching.handed_over, combinations(acting, 2)))
+            self._latest[number] = _Proposed(chosen, slow_noise(drive.fit.scales.values), times)
         present = [term.spans for term in drive.chosen if term.is_timed and term.spans]
         present += [] if steep is None else [steep]
-        both = {union(a, b) for a, b in combinations(present, 2)}
-        proposed = self._latest[number].times | self._instead[number][1] | self._untimed[number]
-        proposed |= self._earlier_terms.times[number]
-        return _different({*present, *both, *proposed}, present, drive.fit.strides.t)
+        proposed = self._latest[number].times | self._untimed[number] | self._earlier_terms.times[number]
+        preferred = [*(spans for pair in self.handed_over[number] for spans in pair.values() if spans), *present]
+        return _different({*preferred, *proposed}, preferred, drive.fit.strides.t)
 
     def _without_fitted_times(self, frame: Frame, drive: DriveState) -> Iterator[CandidateTerm]:
         """Effects that act always, that a signal shows, or that begin at a standstill."""

@@ -12,9 +12,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from estimator.components.exchange import amplitude_evidence
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import cost_of_leaving
+from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
 from estimator.model.effect_term import EffectTerm
 from estimator.model.spans import Spans
 from estimator.signals import Floats
@@ -26,9 +26,12 @@ MIN_SWEEP_GAIN = 1e-3  # of log evidence, for another sweep over all edges
 TOGETHER = 100  # moves whose products are computed at once: bounds the memory with many edges
 
 
-def with_refined_edges(joint: JointLikelihood, chosen: list[int], effect_term: EffectTerm) -> Spans:
+def with_refined_edges(
+    joint: JointLikelihood, chosen: list[int], effect_term: EffectTerm, beside: Sequence[EffectTerm] = ()
+) -> Spans:
     """Spans of ``effect_term`` with beginnings and ends moved by up to STEPS.max() where that adds evidence.
 
+    It acts beside the ``chosen`` terms of the likelihood, and those ``beside``, which the likelihood need not have.
     An edge leaves the gap that it lies in if the gain exceeds the cost of leaving.
     """
     spans, t = effect_term.spans or (), joint.frame.strides.t
@@ -37,7 +40,7 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], effect_term: E
     moves = MOVES[np.abs(MOVES) < half]
     leaving = [cost_of_leaving(spans[i][side], side == 1, effect_term.effect, t) for i, side in edges]
     column = _Column(
-        *_products(joint, chosen, effect_term, edges, moves),
+        *_products(joint, chosen, effect_term, edges, moves, beside),
         sd=effect_term.effect.usual_magnitude(joint.frame.road_load),
     )
     edited = [list(span) for span in spans]
@@ -48,7 +51,12 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], effect_term: E
 
 
 def _products(
-    joint: JointLikelihood, chosen: list[int], effect_term: EffectTerm, edges: Sequence[tuple[int, int]], moves: Floats
+    joint: JointLikelihood,
+    chosen: list[int],
+    effect_term: EffectTerm,
+    edges: Sequence[tuple[int, int]],
+    moves: Floats,
+    beside: Sequence[EffectTerm],
 ) -> tuple[Floats, Floats, sp.csc_array]:
     """Products (1 + n, 1 + n), scores (1 + n,) and composition (1 + n, 1 + k) of a column and its moves.
 
@@ -60,7 +68,11 @@ def _products(
     near = _strides_near(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
     moved = [sp.csc_array((profile[near] * _share_change(t[near], spans[i][side], moves, side)).T) for i, side in edges]
     single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
-    G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
+    known = [sp.csc_array(joint.frame.column(other)[:, None]) for other in beside]
+    G, s = joint.projected(chosen, sp.hstack([*known, sp.csc_array(column[:, None]), single], format="csc"))
+    for other in beside:
+        share = G[1:, 0] / (G[0, 0] + other.effect.usual_magnitude(joint.frame.road_load) ** -2.0)
+        G, s = G[1:, 1:] - np.outer(share, G[0, 1:]), s[1:] - share * s[0]
     changes = sp.hstack(moved, format="csc") if moved else sp.csc_array((len(near), 0))
     return G, s, sp.block_diag([sp.csc_array([[1.0]]), changes], format="csc")
 
@@ -133,7 +145,7 @@ class _Column:
 
     def evidence(self) -> Floats:
         """Log evidence of the amplitude of the column."""
-        return amplitude_evidence(np.array(self._score), np.array(self._strength), self._sd, positive=False)
+        return log_bayes_factor(*posterior_of(self._score, self._strength, self._sd), self._sd)
 
     def evidence_with(self, changes: NDArray[np.intp]) -> Floats:
         """Log evidence (c,) of the amplitude with each of ``changes`` (c,) added alone."""
@@ -141,4 +153,4 @@ class _Column:
             self._score + self._s[changes],
             self._strength + 2 * self._cross[changes] + self._squares[changes],
         )
-        return amplitude_evidence(score, strength, self._sd, positive=False)
+        return log_bayes_factor(*posterior_of(score, strength, self._sd), self._sd)

@@ -1,14 +1,20 @@
-"""Find the blocks of a drive in which an effect is on, by exchanging runs of blocks.
+"""Find the blocks of a drive in which effects are on, by exchanging runs of blocks.
 
-The amplitude b and the times z (one of two states for each block) have the log evidence
+The amplitude b of one effect and its states z (on or off in each block) have the log evidence
 
     1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - costs of changes of state
 
 with s and G the scores and products of a profile cut into blocks, everything else in the model eliminated. The costs
 are those of `time_prior.py`. Every run of blocks is tried; the best is switched on or off as long as evidence rises.
+
+Two effects have one such evidence together. A run may also be switched in both at once: where one is on and the other
+off, it passes from one to the other. What one effect explains in place of the other is found in this way only, because
+either change alone lowers the evidence.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,56 +27,105 @@ MAX_RUN = 2000.0  # s, of several blocks exchanged at once
 MAX_EXCHANGES = 60  # bounds the run time
 
 
-def best_states(
-    G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats, costs: Sequence[Costs]
-) -> Mask:
-    """Blocks (b,) that are on; ``lengths`` (b,) [s] of blocks, ``costs`` (b - 1,) of changes between them.
+@dataclass(frozen=True)
+class SwitchingPrior:
+    """Prior of the amplitude of an effect, and of its states in b blocks.
 
-    ``single``: at most one run of blocks is on.
+    ``costs`` (b - 1,) are those of changes between blocks; ``is_single``: at most one run of blocks is on.
     """
-    b = len(s)
-    on, changes = np.zeros(b, dtype=bool), Changes(costs)
+
+    sd: float
+    is_positive: bool
+    is_single: bool
+    costs: Sequence[Costs]
+
+
+def best_states(G: Floats, s: Floats, priors: Sequence[SwitchingPrior], lengths: Floats, start: Mask) -> Mask:
+    """Blocks (e, b) in which each of e effects is on, from those of ``start`` (e, b).
+
+    ``G`` (e, e, b, b): products, ``s`` (e, b): scores of the blocks of all effects; ``lengths`` (b,) [s] of the blocks.
+    """
+    effects, b = s.shape
     ends = np.insert(np.cumsum(lengths), 0, 0.0)
-    furthest = np.full(b, b) if single else np.searchsorted(ends, ends[:-1] + MAX_RUN, side="right") - 1
+    is_long = len(priors) == 1 and priors[0].is_single
+    furthest = np.full(b, b) if is_long else np.searchsorted(ends, ends[:-1] + MAX_RUN, side="right") - 1
     furthest = np.maximum(furthest, np.arange(1, b + 1))
-    corner = np.zeros((b + 1, b + 1))
-    corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
-    square = corner.diagonal()  # a run has the strength square[first] + square[last] - 2 corner[first, last]
-    best = 0.0
+    together = [list(some) for size in range(effects) for some in combinations(range(effects), size + 1)]
+    on, blocks = start.copy(), _Blocks(G, s, priors)
     for _ in range(MAX_EXCHANGES):
         first, last = _runs(on, furthest)
-        active, switch = on.astype(float), np.where(on, -1.0, 1.0)
-        score, strength = float(s @ active), float(active @ G @ active)
-        scores, crosses = (np.insert(np.cumsum(values), 0, 0.0) for values in (switch * s, 2 * switch * (G @ active)))
-        gain = amplitude_evidence(
-            score + scores[last] - scores[first],
-            strength + (crosses + square)[last] - (crosses - square)[first] - 2 * corner[first, last],
-            sd,
-            positive,
-        )
-        gain -= changes.cost(on) + switch[first] * changes.by_run(on, first, last)
-        if single:
-            gain[np.count_nonzero(np.diff(np.pad(on, 1))) + switch[first] * edges_by_run(on, first, last) > 2] = -np.inf
-        k = int(np.argmax(gain))
-        if gain[k] <= best + 1e-9:
+        exchanged, before = blocks.exchanged(on, first, last, together)
+        which, k = np.unravel_index(np.argmax(exchanged), exchanged.shape)
+        if exchanged[which, k] <= before + 1e-9:
             break
-        best = float(gain[k])
-        on[first[k] : last[k]] ^= True
+        on[together[which], first[k] : last[k]] ^= True
     return on
 
 
 def _runs(on: Mask, furthest: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """All runs of blocks in one state: the first block (r,) of each, and the block (r,) after its last one.
+    """All runs of blocks in which no state (e, b) changes: the first block (r,) of each, and the block after its last.
 
     A run ends before the block ``furthest`` (b,) for its first one.
     """
-    b = len(on)
-    changed = np.append(np.flatnonzero(on[1:] != on[:-1]) + 1, b)  # blocks where the next state begins
+    b = on.shape[1]
+    changed = np.append(np.flatnonzero((on[:, 1:] != on[:, :-1]).any(axis=0)) + 1, b)  # where the next states begin
     reached = np.minimum(changed[np.searchsorted(changed, np.arange(b), side="right")], furthest)
     counts = reached - np.arange(b)
     first = np.repeat(np.arange(b), counts)
     last = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts) + first + 1
     return first, last
+
+
+class _Blocks:
+    """Evidence of states of effects, from the products ``G`` (e, e, b, b) and scores ``s`` (e, b) of their blocks."""
+
+    def __init__(self, G: Floats, s: Floats, priors: Sequence[SwitchingPrior]) -> None:
+        self._G, self._s, self._priors = G, s, priors
+        self._changes = [Changes(prior.costs) for prior in priors]
+        corners = np.zeros((*G.shape[:2], G.shape[2] + 1, G.shape[3] + 1))
+        corners[..., 1:, 1:] = G.cumsum(axis=-2).cumsum(axis=-1)
+        # A run has the product squares[first] + squares[last] - crossed[first, last].
+        self._squares = np.diagonal(corners, axis1=-2, axis2=-1)
+        self._crossed = corners + np.swapaxes(corners, -1, -2)
+
+    def exchanged(
+        self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp], together: Sequence[Sequence[int]]
+    ) -> tuple[Floats, float]:
+        """Log evidence (x, r) with each run of blocks exchanged in each of x sets of effects, and that of ``on``."""
+        active, switch = on.astype(float), np.where(on, -1.0, 1.0)
+        products = (self._G @ active[:, :, None])[..., 0]
+        score, strength = (self._s * active).sum(axis=-1), (active[:, None] * products).sum(axis=-1)
+        costs = [changes.cost(state) for changes, state in zip(self._changes, on, strict=True)]
+        more_score, more_strength = _cumulated(switch * self._s), _cumulated(switch[:, None] * products)
+        evidence = np.empty((len(together), len(first)))
+        for row, effects in zip(evidence, together, strict=True):
+            scores, strengths = np.tile(score[:, None], len(first)), np.tile(strength[..., None], len(first))
+            paid = np.full(len(first), sum(costs))
+            for c in effects:
+                scores[c] += more_score[c, last] - more_score[c, first]
+                for d in range(len(on)):
+                    change = more_strength[c, d, last] - more_strength[c, d, first]
+                    strengths[c, d] += change
+                    strengths[d, c] += change
+                for d in effects:
+                    product = self._squares[c, d][last] + self._squares[c, d][first] - self._crossed[c, d][first, last]
+                    strengths[c, d] += (switch[c] * switch[d])[first] * product
+                paid += switch[c][first] * self._changes[c].by_run(on[c], first, last)
+                if self._priors[c].is_single:
+                    edges = np.count_nonzero(np.diff(np.pad(on[c], 1)))
+                    paid[edges + switch[c][first] * edges_by_run(on[c], first, last) > 2] = np.inf
+            row[:] = self._evidence(scores, strengths) - paid
+        return evidence, float(self._evidence(score, strength)) - sum(costs)
+
+    def _evidence(self, score: Floats, strength: Floats) -> Floats:
+        return evidence_together(
+            score, strength, [prior.sd for prior in self._priors], [prior.is_positive for prior in self._priors]
+        )
+
+
+def _cumulated(values: Floats) -> Floats:
+    """Sums (..., b + 1) of ``values`` (..., b) before each of them and after the last."""
+    return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
 
 
 class Changes:
@@ -105,11 +160,25 @@ def edges_by_run(on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> N
     return edges
 
 
-def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
-    """Log Bayes factor (k,) of one amplitude against none; minus infinity if ``positive`` and the score is negative.
+def evidence_together(score: Floats, strength: Floats, sds: Sequence[float], positive: Sequence[bool]) -> Floats:
+    """Log Bayes factor (...) of e amplitudes against none; minus infinity where one that is ``positive`` is negative.
 
-    ``score`` (k,) and ``strength`` (k,): moment and squared norm of its column, everything else eliminated.
+    ``score`` (e, ...) and ``strength`` (e, e, ...): moments and products of their columns, all else eliminated. One
+    amplitude after the other is eliminated, and its factor is that given those after it at zero.
     """
-    gain = log_bayes_factor(*posterior_of(score, strength, sd), sd)
-    allowed: Floats = np.where((score > 0) | (not positive), gain, -np.inf)
-    return allowed
+    score, strength, effects = score.copy(), strength.copy(), range(len(sds))
+    gain, spreads = np.zeros(score.shape[1:]), list[Floats]()
+    for c, sd in enumerate(sds):
+        value, spread = posterior_of(score[c], strength[c, c], sd)
+        gain = gain + log_bayes_factor(value, spread, sd)
+        for d in effects[c + 1 :]:
+            share = strength[d, c] * spread**2
+            score[d] -= share * score[c]
+            strength[d, c + 1 :] -= share * strength[c, c + 1 :]
+        spreads.append(spread)
+    values = np.zeros(score.shape)
+    for c in reversed(effects):
+        values[c] = spreads[c] ** 2 * (score[c] - (strength[c, c + 1 :] * values[c + 1 :]).sum(axis=0))
+        if positive[c]:
+            gain = np.where(values[c] < 0, -np.inf, gain)
+    return gain

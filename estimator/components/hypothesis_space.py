@@ -4,7 +4,7 @@ An effect of the vehicle acts in all drives, so its evidence is summed. An event
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from estimator.components.term import Kind, Term
 from estimator.estimation.mixture import between
 from estimator.estimation.shapes import is_free
 from estimator.model.effect_term import EffectTerm
+from estimator.model.spans import Spans
 from estimator.signals import Floats
 
 ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: "no effect" is e times as probable
@@ -102,6 +103,16 @@ class HypothesisSpace:
             for term_by_drive in self.by_drive
         )
         return tuple(i for i, is_there in enumerate(is_chosen) if is_there)
+
+    def with_times(self, chosen: Hypothesis, number: int, times: Mapping[str, Spans]) -> Hypothesis | None:
+        """Hypothesis with other ``times`` of effects, by name, on the drive ``number``; None if one is no candidate.
+
+        An effect without times is left out.
+        """
+        kept = [i for i in chosen if not (self.keys[i][0] in times and number in self.by_drive[i])]
+        wanted = {(name, number, spans) for name, spans in times.items() if spans}
+        changed = [i for i, key in enumerate(self.keys) if key in wanted]
+        return tuple(sorted((*kept, *changed))) if len(changed) == len(wanted) else None
 
     def log_evidence(self, chosen: Sequence[int], check_limits: bool = True) -> float:
         """Log evidence of a hypothesis, less costs.

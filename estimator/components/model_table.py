@@ -3,8 +3,8 @@
 The table grows by steps that add or remove one term, from sets within Occam's window of the best (Madigan & Raftery
 1994). A nameless process that first replaces two effects is so removed once both are in the set. The best set also
 exchanges terms, because the term with most evidence alone need not have most beside others. Steps begin at the empty
-set, and at a set from an earlier table: two effects may have most evidence together, and little alone. Probabilities
-are sums over the table.
+set, and at given ones: two effects may have most evidence together, and little alone. Probabilities are sums over the
+table.
 """
 
 from collections import defaultdict
@@ -103,11 +103,11 @@ class ModelTable:
 
 
 def weigh(
-    likelihood: Evidence, groups: Sequence[TermGroup], max_terms: int = MAX_TERMS, start: Hypothesis = ()
+    likelihood: Evidence, groups: Sequence[TermGroup], max_terms: int = MAX_TERMS, starts: Iterable[Hypothesis] = ()
 ) -> ModelTable:
-    """Make the table by steps from the empty hypothesis and from ``start``, with at most ``max_terms`` in each."""
+    """Make the table by steps from the empty hypothesis and from ``starts``, with at most ``max_terms`` in each."""
     log = dict[Hypothesis, float]()
-    for first in dict.fromkeys(((), start)):
+    for first in dict.fromkeys(((), *starts)):
         _grow(first, log, likelihood, groups, max_terms)
     order = sorted(log, key=lambda chosen: -log[chosen])
     values = np.array([log[chosen] for chosen in order])

@@ -172,9 +172,15 @@ class Search:
             for number, drive in enumerate(drives)
         ]
         space = HypothesisSpace(drives, self._given, candidates)
-        start = space.fitted_hypothesis() if with_processes else ()  # processes come to the effects found without them
-        max_terms = max(size, len(start) + 1)
-        table = weigh(space, space.groups(), min(max_terms, MAX_TERMS), start)
+        fitted = space.fitted_hypothesis()
+        pairs = ((number, times) for number in range(len(drives)) for times in self._candidates.handed_over[number])
+        changed = (space.with_times(fitted, number, times) for number, times in pairs)
+        starts = [hypothesis for hypothesis in changed if hypothesis and len(hypothesis) <= MAX_TERMS]
+        if with_processes:  # they come to the effects found without them
+            size = max(size, len(fitted) + 1)
+            starts.append(fitted)
+        max_terms = max(size, *map(len, starts), 0)
+        table = weigh(space, space.groups(), min(max_terms, MAX_TERMS), starts)
         return _Round(max_terms=max_terms, space=space, table=table, chosen=table.best, states=space.fitted(table.best))
 
     def _converged(

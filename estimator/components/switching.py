@@ -1,24 +1,26 @@
 """Find the times of an effect that no signal shows: those with most evidence beside a set of terms.
 
 The drive is cut into blocks at gaps, and where a change of state has the highest score. Runs of blocks are switched on
-or off (`exchange.py`), and the edges of the resulting times are moved (`edges.py`).
+or off (`exchange.py`), and the edges of the resulting times are moved (`edges.py`). Runs may also pass from one of two
+effects to the other.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from estimator.components.edges import with_refined_edges
-from estimator.components.exchange import best_states
+from estimator.components.exchange import SwitchingPrior, best_states
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.term import Frame
 from estimator.components.time_prior import MAX_ON_SHARE, least_costs, prior_cost
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
-from estimator.model.spans import Spans
+from estimator.model.spans import Spans, covered
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
 
@@ -32,12 +34,14 @@ MIN_BLOCK_GAP = 5.0  # s without strides, where blocks end: in less the state ha
 
 @dataclass(frozen=True, kw_only=True)
 class _Cut:
-    """Profile cut into b blocks: ``labels`` (n,) are the block of each stride, ``lengths`` (b,) [s] those of blocks.
+    """Profiles of e effects cut into b blocks: ``labels`` (n,) are the block of each stride, ``first`` (b,) its first.
 
-    ``gaps`` (b - 1,) [s] lie between blocks. ``products`` (b, b) and ``score`` (b,) have a set eliminated.
+    ``lengths`` (b,) [s] are those of blocks, ``gaps`` (b - 1,) [s] lie between them. ``products`` (e, e, b, b) and
+    ``score`` (e, b) have a set eliminated.
     """
 
     labels: NDArray[np.int64]
+    first: NDArray[np.intp]
     lengths: Floats
     gaps: Floats
     products: Floats
@@ -56,66 +60,96 @@ class Switching:
 
         ``earlier`` are terms of the effect with earlier times; blocks are also cut at changes from these.
         """
-        column, single = self._joint.frame.column(EffectTerm(effect)), effect.timing is Timing.WINDOW
+        column = self._joint.frame.column(EffectTerm(effect))
         size = float(column[np.argmax(np.abs(column))])
         profile = np.round(column / size, PROFILE_DIGITS)
         key = tuple(chosen), tuple(earlier), profile.tobytes()
         if key not in self._cuts:
-            self._cuts[key] = self._cut(list(chosen), profile, list(earlier))
-        cut, sd = self._cuts[key], effect.usual_magnitude(self._joint.frame.road_load)
-        costs = [least_costs(gap, effect) for gap in cut.gaps.tolist()]
-        blocks = best_states(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
-        on = blocks[cut.labels]
+            hypotheses = [[*chosen], [*chosen, *earlier]] if earlier else [[*chosen]]
+            times = [self._joint.terms[i].spans or () for i in earlier]
+            self._cuts[key] = self._cut(list(chosen), [profile], hypotheses, times)
+        cut = self._cuts[key]
+        off = np.zeros_like(cut.score, dtype=bool)
+        prior = self._prior(effect, cut)
+        blocks = best_states(cut.products * size**2, cut.score * size, [prior], cut.lengths, off)
+        on = blocks[0, cut.labels]
         if not on.any() or on.mean() > MAX_ON_SHARE:
             return None
         spans = _spans(self._joint.frame, on)
         return spans, prior_cost(spans, effect, self._joint.frame.strides.t)
 
-    def _cut(self, chosen: list[int], column: Floats, earlier: list[int]) -> _Cut:
-        """Cut a ``column`` (n,) at likely changes of its state beside a set, at gaps, and at regular times."""
+    def handed_over(self, effects: tuple[Effect, Effect]) -> dict[str, Spans]:
+        """Times of two effects that act, by name: those with most evidence together, found from their present times.
+
+        Runs are switched in either of them, or pass from one to the other; one may lose all of its times.
+        """
+        terms, frame = self._joint.terms, self._joint.frame
+        numbers = [[i for i, term in enumerate(terms) if term.name == effect.name] for effect in effects]
+        times = [next((terms[i].spans or () for i in of_effect), ()) for of_effect in numbers]
+        beside = [i for i in range(len(terms)) if i not in (*numbers[0], *numbers[1])]
+        profiles = [frame.column(EffectTerm(effect)) for effect in effects]
+        cut = self._cut(beside, profiles, [list(range(len(terms)))], times)
+        within = np.array([covered(frame.strides.t, DURATION, spans) for spans in times])
+        strides = np.diff(np.append(cut.first, len(cut.labels)))
+        before = np.add.reduceat(within, cut.first, axis=1) > 0.5 * strides
+        priors = [self._prior(effect, cut) for effect in effects]
+        after = best_states(cut.products, cut.score, priors, cut.lengths, before)
+        found = {effect.name: _spans(frame, on[cut.labels]) for effect, on in zip(effects, after, strict=True)}
+        for effect in effects:
+            acting = {other.name: EffectTerm(other, None, found[other.name]) for other in effects if found[other.name]}
+            if term := acting.pop(effect.name, None):
+                found[effect.name] = with_refined_edges(self._joint, beside, term, [*acting.values()])
+        return found
+
+    def _prior(self, effect: Effect, cut: _Cut) -> SwitchingPrior:
+        return SwitchingPrior(
+            sd=effect.usual_magnitude(self._joint.frame.road_load),
+            is_positive=effect.positive,
+            is_single=effect.timing is Timing.WINDOW,
+            costs=[least_costs(gap, effect) for gap in cut.gaps.tolist()],
+        )
+
+    def _cut(
+        self, beside: list[int], profiles: list[Floats], hypotheses: Sequence[list[int]], times: Sequence[Spans]
+    ) -> _Cut:
+        """Cut ``profiles`` (n,) at likely changes of their states beside ``hypotheses``, and at edges of ``times``.
+
+        They are also cut at gaps, and at regular times. Terms ``beside`` are eliminated.
+        """
         t, steps = self._joint.frame.strides.t, np.zeros(len(self._joint.frame.strides), dtype=bool)
-        steps[likely_steps(self._joint, chosen, column)] = True
-        if earlier:
-            steps[likely_steps(self._joint, [*chosen, *earlier], column)] = True
-            edges = np.array([edge for i in earlier for span in self._joint.terms[i].spans or () for edge in span])
-            steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
+        for hypothesis, profile in product(hypotheses, profiles):
+            steps[likely_steps(self._joint, hypothesis, profile)] = True
+        edges = np.array([edge for spans in times for span in spans for edge in span])
+        steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         gap = np.diff(t, prepend=t[0]) >= DURATION + MIN_BLOCK_GAP
         blocks, label = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
-        products, score = self._joint.projected(chosen, _parts(column, label))
-        first = np.searchsorted(label, np.arange(len(blocks)))
-        gaps = t[first[1:]] - t[first[1:] - 1] - DURATION
-        lengths = np.append(t[first[1:]], t[-1]) - t[first]
-        return _Cut(labels=label, lengths=lengths, gaps=gaps, products=products, score=score)
+        parts = sp.hstack([_parts(profile, label) for profile in profiles], format="csc")
+        products, score = self._joint.projected(beside, parts)
+        e, b = len(profiles), len(blocks)
+        first = np.searchsorted(label, np.arange(b))
+        return _Cut(
+            labels=label,
+            first=first,
+            lengths=np.append(t[first[1:]], t[-1]) - t[first],
+            gaps=t[first[1:]] - t[first[1:] - 1] - DURATION,
+            products=products.reshape(e, b, e, b).swapaxes(1, 2),
+            score=score.reshape(e, b),
+        )
 
     def proposed(self, effect: Effect) -> set[Spans]:
-        """Propose times of ``effect`` beside the other terms."""
-        terms = self._joint.terms
-        others = [i for i, term in enumerate(terms) if term.name != effect.name]
-        same_effect = [i for i, term in enumerate(terms) if term.name == effect.name and term.spans]
-        return self._proposals(effect, others, same_effect)
-
-    def proposed_instead(self, effect: Effect) -> set[Spans]:
-        """Propose times of ``effect`` in place of all terms with times; none if no other term has any."""
-        terms = self._joint.terms
-        timed = [i for i, term in enumerate(terms) if term.is_timed]
-        others = [i for i, term in enumerate(terms) if term.name != effect.name and i not in timed]
-        return self._proposals(effect, others, timed) if any(terms[i].name != effect.name for i in timed) else set()
-
-    def _proposals(self, effect: Effect, beside: list[int], replaced: list[int]) -> set[Spans]:
-        """Best times beside a set, and times of the terms that it may replace, all with refined edges.
+        """Propose times of ``effect`` beside the other terms: the best, and its earlier ones, all with refined edges.
 
         The complements of these times are proposed as well: at a steady speed, one effect on and another one off give
         the same residual (a fan and drafting).
         """
-        is_window = effect.timing is Timing.WINDOW
-        best = self.best(beside, effect, replaced)
-        earlier_times = {
-            spans for i in replaced if (spans := self._joint.terms[i].spans) and not (is_window and spans[1:])
-        }
-        times = earlier_times | (set() if best is None else {best[0]})
-        refined = {with_refined_edges(self._joint, beside, EffectTerm(effect, None, spans)) for spans in times}
+        terms, is_window = self._joint.terms, effect.timing is Timing.WINDOW
+        others = [i for i, term in enumerate(terms) if term.name != effect.name]
+        earlier = [i for i, term in enumerate(terms) if term.name == effect.name and term.spans]
+        best = self.best(others, effect, earlier)
+        times = {terms[i].spans or () for i in earlier} | (set() if best is None else {best[0]})
+        refined = {with_refined_edges(self._joint, others, EffectTerm(effect, None, spans)) for spans in times}
         t = self._joint.frame.strides.t
         return refined if is_window else refined | {_complement(spans, t) for spans in refined}
 

@@ -181,7 +181,6 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     plain = driven()
     chosen = plain.with_terms((term_of(Frame.of(plain.fit), EffectTerm(brake, None, own), 1.0),))
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: {other})
-    monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
     candidates = CandidateTerms([brake, BY_NAME["auxiliary_cycling"]], [()], EarlierTerms())
 
     def times(drive: DriveState, name: str) -> set[Spans | None]:
@@ -203,7 +202,6 @@ def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monk
     )
     earlier_terms.add_drive(0, before)
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())
-    monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
 
     def tried(earlier_terms: EarlierTerms) -> set[tuple[str, object]]:
         candidates = CandidateTerms([loss, brake, fan], [()], earlier_terms)

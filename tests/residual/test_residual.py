@@ -137,7 +137,7 @@ def test_two_that_explain_most_together_and_little_alone_are_kept_from_the_set_b
     groups = [TermGroup(name=str(i), is_named=True, terms=(i,), log_odds=-1.0, log_count=0.0) for i in range(4)]
     assert likelihood.log_evidence([0, 1]) > likelihood.log_evidence([2, 3]) + WINDOW
     assert weigh(likelihood, groups, max_terms=2).best == (2, 3)
-    assert weigh(likelihood, groups, max_terms=2, start=(0, 1)).best == (0, 1)
+    assert weigh(likelihood, groups, max_terms=2, starts=[(0, 1)]).best == (0, 1)
 
 
 def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
