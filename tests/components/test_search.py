@@ -13,7 +13,7 @@ from estimator.components import search
 from estimator.components.candidate_terms import CandidateTerms, EarlierTerms
 from estimator.components.drive_state import DriveState
 from estimator.components.hypothesis_space import HypothesisSpace
-from estimator.components.model_table import ModelTable
+from estimator.components.model_table import Hypothesis, ModelTable
 from estimator.components.search import Search
 from estimator.components.search_result import SearchResult
 from estimator.components.switching import Switching
@@ -191,6 +191,31 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     with_other, without_other = ((50.0, 90.0), (200.0, 230.0)), ((50.0, 70.0), (200.0, 230.0))
     assert times(chosen, "brake_use") == {own, other, with_other, without_other}
     assert times(chosen, "auxiliary_cycling") == {own, other}
+
+
+def test_times_that_passed_between_two_effects_make_a_hypothesis(monkeypatch):
+    brake, fan, plain = BY_NAME["brake_use"], BY_NAME["auxiliary_cycling"], driven()
+    held = {brake: ((50.0, 80.0),), fan: ((110.0, 150.0), (200.0, 230.0))}
+    passed = {brake.name: ((50.0, 80.0), (110.0, 150.0)), fan.name: ((200.0, 230.0),)}
+    frame = Frame.of(plain.fit)
+    chosen = plain.with_terms(
+        tuple(term_of(frame, EffectTerm(effect, None, spans), 1.0) for effect, spans in held.items())
+    )
+    monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())
+    monkeypatch.setattr(Switching, "handed_over", lambda self, effects: passed)
+    candidates = CandidateTerms([brake, fan], [()], EarlierTerms())
+    space = HypothesisSpace((chosen,), [()], [candidates.on_drive(0, chosen, False, False)])
+    fitted = space.fitted_hypothesis()
+
+    def times(hypothesis: Hypothesis | None) -> dict[object, object]:
+        assert hypothesis is not None
+        return {space.keys[i][0]: space.keys[i][2] for i in hypothesis}
+
+    assert candidates.handed_over == {0: [passed]}
+    assert times(fitted) == {effect.name: spans for effect, spans in held.items()}
+    assert times(space.with_times(fitted, 0, passed)) == passed
+    assert times(space.with_times(fitted, 0, {fan.name: ()})) == {brake.name: held[brake]}
+    assert space.with_times(fitted, 0, {fan.name: ((1.0, 30.0),)}) is None
 
 
 def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monkeypatch):
