@@ -20,7 +20,7 @@ from estimator.components.term import Frame
 from estimator.components.time_prior import MAX_ON_SHARE, least_costs, prior_cost
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
-from estimator.model.spans import Spans, covered
+from estimator.model.spans import Spans
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
 
@@ -66,8 +66,7 @@ class Switching:
         key = tuple(chosen), tuple(earlier), profile.tobytes()
         if key not in self._cuts:
             hypotheses = [[*chosen], [*chosen, *earlier]] if earlier else [[*chosen]]
-            times = [self._joint.terms[i].spans or () for i in earlier]
-            self._cuts[key] = self._cut(list(chosen), [profile], hypotheses, times)
+            self._cuts[key] = self._cut(list(chosen), [profile], hypotheses, self._acting(earlier))
         cut = self._cuts[key]
         off = np.zeros_like(cut.score, dtype=bool)
         prior = self._prior(effect, cut)
@@ -84,22 +83,28 @@ class Switching:
         Runs are switched in either of them, or pass from one to the other; one may lose all of its times.
         """
         terms, frame = self._joint.terms, self._joint.frame
-        numbers = [[i for i, term in enumerate(terms) if term.name == effect.name] for effect in effects]
-        times = [next((terms[i].spans or () for i in of_effect), ()) for of_effect in numbers]
-        beside = [i for i in range(len(terms)) if i not in (*numbers[0], *numbers[1])]
-        profiles = [frame.column(EffectTerm(effect)) for effect in effects]
-        cut = self._cut(beside, profiles, [list(range(len(terms)))], times)
-        within = np.array([covered(frame.strides.t, DURATION, spans) for spans in times])
-        strides = np.diff(np.append(cut.first, len(cut.labels)))
-        before = np.add.reduceat(within, cut.first, axis=1) > 0.5 * strides
+        acting = [next(i for i, term in enumerate(terms) if term.name == effect.name) for effect in effects]
+        beside = [i for i in range(len(terms)) if i not in acting]
+        states = self._acting(acting)
+        cut = self._cut(beside, [frame.column(EffectTerm(effect)) for effect in effects], [[*beside, *acting]], states)
         priors = [self._prior(effect, cut) for effect in effects]
-        after = best_states(cut.products, cut.score, priors, cut.lengths, before)
+        after = best_states(cut.products, cut.score, priors, cut.lengths, states[:, cut.first])
         found = {effect.name: _spans(frame, on[cut.labels]) for effect, on in zip(effects, after, strict=True)}
         for effect in effects:
-            acting = {other.name: EffectTerm(other, None, found[other.name]) for other in effects if found[other.name]}
-            if term := acting.pop(effect.name, None):
-                found[effect.name] = with_refined_edges(self._joint, beside, term, [*acting.values()])
+            timed = {other.name: EffectTerm(other, None, found[other.name]) for other in effects if found[other.name]}
+            if term := timed.pop(effect.name, None):
+                found[effect.name] = with_refined_edges(self._joint, beside, term, [*timed.values()])
         return found
+
+    def _acting(self, numbers: Sequence[int]) -> Mask:
+        """Strides (k, n) at which terms of effects act by over half, at fitted times or as a signal shows."""
+        frame = self._joint.frame
+        states = np.zeros((len(numbers), len(frame.strides)), dtype=bool)
+        for state, i in zip(states, numbers, strict=True):
+            effect_term = self._joint.terms[i].effect_term
+            assert effect_term is not None
+            state[:] = np.abs(frame.column(effect_term)) > 0.5 * np.abs(frame.column(EffectTerm(effect_term.effect)))
+        return states
 
     def _prior(self, effect: Effect, cut: _Cut) -> SwitchingPrior:
         return SwitchingPrior(
@@ -109,18 +114,16 @@ class Switching:
             costs=[least_costs(gap, effect) for gap in cut.gaps.tolist()],
         )
 
-    def _cut(
-        self, beside: list[int], profiles: list[Floats], hypotheses: Sequence[list[int]], times: Sequence[Spans]
-    ) -> _Cut:
-        """Cut ``profiles`` (n,) at likely changes of their states beside ``hypotheses``, and at edges of ``times``.
+    def _cut(self, beside: list[int], profiles: list[Floats], hypotheses: Sequence[list[int]], states: Mask) -> _Cut:
+        """Cut ``profiles`` (n,) at likely changes of their states beside ``hypotheses``, and where ``states`` change.
 
-        They are also cut at gaps, and at regular times. Terms ``beside`` are eliminated.
+        States have the shape (k, n). Profiles are also cut at gaps, and at regular times. Terms ``beside`` are
+        eliminated.
         """
         t, steps = self._joint.frame.strides.t, np.zeros(len(self._joint.frame.strides), dtype=bool)
         for hypothesis, profile in product(hypotheses, profiles):
             steps[likely_steps(self._joint, hypothesis, profile)] = True
-        edges = np.array([edge for spans in times for span in spans for edge in span])
-        steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
+        steps[1:] |= (states[:, 1:] != states[:, :-1]).any(axis=0)
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         gap = np.diff(t, prepend=t[0]) >= DURATION + MIN_BLOCK_GAP

@@ -502,22 +502,23 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fan_acts", [False, True])
-def test_times_pass_from_an_effect_that_holds_them_to_the_one_that_acts(fan_acts):
+@pytest.mark.parametrize(("fan_acts", "is_shown"), [(False, False), (True, False), (True, True)])
+def test_times_pass_from_an_effect_that_holds_them_to_the_one_that_acts(fan_acts, is_shown):
+    """The fan holds times of the brake: fitted ones, or those of a signal."""
     n, brake, fan = 1500, BY_NAME["brake_use"], BY_NAME["auxiliary_cycling"]
-    of_brake, of_fan = ((200.0, 225.0), (520.0, 538.0), (860.0, 885.0)), ((1100.0, 1290.0),)
+    of_brake, of_fan = ((200.0, 225.0), (520.0, 538.0), (860.0, 885.0)), ((1100.0, 1290.0),) if fan_acts else ()
+    held = (*of_brake[1:], *of_fan)
     strides = driven(n)
     power = 5e3 * covered(strides.t, 1.0, of_brake) * 0.5 * (strides.v0 + strides.v1)
-    strides = driven(n, power=power + (60e3 * covered(strides.t, 1.0, of_fan) if fan_acts else 0.0))
-    state = DriveState.of(strides)
-    frame = Frame.of(state.fit)
-    held = ((*of_brake[1:], *of_fan) if fan_acts else of_brake[1:]), of_brake[:1]  # by the fan, and by the brake
-    state = state.with_terms(
-        (term_of(frame, EffectTerm(brake, None, held[1])), term_of(frame, EffectTerm(fan, None, held[0])))
-    )
+    strides = driven(n, power=power + 60e3 * covered(strides.t, 1.0, of_fan))
+    turning = {Quantity.FAN_SPEED: 100.0 * covered(strides.t, 1.0, held)}
+    state = DriveState.of(replace(strides, context={**strides.context, **turning}))
+    by_fan = EffectTerm(fan, Quantity.FAN_SPEED) if is_shown else EffectTerm(fan, None, held)
+    terms = EffectTerm(brake, None, of_brake[:1]), by_fan
+    state = state.with_terms(tuple(term_of(Frame.of(state.fit), term) for term in terms))
     times = switching.Switching(state.joint).handed_over((brake, fan))
     assert_allclose(times[brake.name], of_brake, atol=1.0)
-    assert times[fan.name] == () if not fan_acts else np.allclose(times[fan.name], of_fan, atol=1.0)
+    assert_allclose(np.reshape(times[fan.name], (-1, 2)), np.reshape(of_fan, (-1, 2)), atol=1.0)
 
 
 def test_times_of_an_effect_do_not_depend_on_what_was_asked_before():
