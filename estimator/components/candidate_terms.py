@@ -87,8 +87,8 @@ class CandidateTerms:
     def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Term]], earlier_terms: EarlierTerms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
         self._given, self._earlier_terms = given, earlier_terms
-        # Times of two chosen effects together, by name, on the drive of each number.
-        self.handed_over: dict[int, list[dict[str, Spans]]] = defaultdict(list)
+        # Best times of two chosen effects together, by name, for each pair on the drive of a number.
+        self.pairs: dict[int, list[dict[str, Spans]]] = defaultdict(list)
         self._latest: dict[int, _Proposed] = {}
         self._untimed: dict[int, set[Spans]] = defaultdict(set)
         self._steep: dict[int, set[Spans]] = defaultdict(set)
@@ -120,12 +120,12 @@ class CandidateTerms:
             if steep is None and not any(term.is_timed for term in drive.chosen):
                 self._untimed[number] |= times
             acting = [effect for effect in self._timed if any(term.name == effect.name for term in drive.chosen)]
-            self.handed_over[number] = list(map(switching.handed_over, combinations(acting, 2)))
+            self.pairs[number] = list(map(switching.best_pair, combinations(acting, 2)))
             self._latest[number] = _Proposed(chosen, slow_noise(drive.fit.scales.values), times)
         present = [term.spans for term in drive.chosen if term.is_timed and term.spans]
         present += [] if steep is None else [steep]
         proposed = self._latest[number].times | self._untimed[number] | self._earlier_terms.times[number]
-        preferred = [*(spans for pair in self.handed_over[number] for spans in pair.values() if spans), *present]
+        preferred = [*(spans for pair in self.pairs[number] for spans in pair.values() if spans), *present]
         return _different({*preferred, *proposed}, preferred, drive.fit.strides.t)
 
     def _without_fitted_times(self, frame: Frame, drive: DriveState) -> Iterator[CandidateTerm]:

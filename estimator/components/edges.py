@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import cost_of_leaving
-from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
+from estimator.estimation.savage_dickey import first_eliminated, log_bayes_factor, posterior_of
 from estimator.model.effect_term import EffectTerm
 from estimator.model.spans import Spans
 from estimator.signals import Floats
@@ -71,8 +71,7 @@ def _products(
     known = [sp.csc_array(joint.frame.column(other)[:, None]) for other in beside]
     G, s = joint.projected(chosen, sp.hstack([*known, sp.csc_array(column[:, None]), single], format="csc"))
     for other in beside:
-        share = G[1:, 0] / (G[0, 0] + other.effect.usual_magnitude(joint.frame.road_load) ** -2.0)
-        G, s = G[1:, 1:] - np.outer(share, G[0, 1:]), s[1:] - share * s[0]
+        s, G = first_eliminated(s, G, other.effect.usual_magnitude(joint.frame.road_load))
     changes = sp.hstack(moved, format="csc") if moved else sp.csc_array((len(near), 0))
     return G, s, sp.block_diag([sp.csc_array([[1.0]]), changes], format="csc")
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.components.time_prior import Costs
-from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
+from estimator.estimation.savage_dickey import first_eliminated, log_bayes_factor, posterior_of
 from estimator.signals import Floats, Mask
 
 MAX_RUN = 2000.0  # s, of several blocks exchanged at once
@@ -47,18 +47,18 @@ def best_states(G: Floats, s: Floats, priors: Sequence[SwitchingPrior], lengths:
     """
     effects, b = s.shape
     ends = np.insert(np.cumsum(lengths), 0, 0.0)
-    is_long = len(priors) == 1 and priors[0].is_single
-    furthest = np.full(b, b) if is_long else np.searchsorted(ends, ends[:-1] + MAX_RUN, side="right") - 1
+    is_any_single = any(prior.is_single for prior in priors)  # its run may have any length
+    furthest = np.full(b, b) if is_any_single else np.searchsorted(ends, ends[:-1] + MAX_RUN, side="right") - 1
     furthest = np.maximum(furthest, np.arange(1, b + 1))
-    together = [list(some) for size in range(effects) for some in combinations(range(effects), size + 1)]
+    moves = [list(some) for size in range(effects) for some in combinations(range(effects), size + 1)]
     on, blocks = start.copy(), _Blocks(G, s, priors)
     for _ in range(MAX_EXCHANGES):
         first, last = _runs(on, furthest)
-        exchanged, before = blocks.exchanged(on, first, last, together)
-        which, k = np.unravel_index(np.argmax(exchanged), exchanged.shape)
-        if exchanged[which, k] <= before + 1e-9:
+        moved, present = blocks.evidence_of_moves(on, first, last, moves)
+        move, k = np.unravel_index(np.argmax(moved), moved.shape)
+        if moved[move, k] <= present + 1e-9:
             break
-        on[together[which], first[k] : last[k]] ^= True
+        on[moves[move], first[k] : last[k]] ^= True
     return on
 
 
@@ -88,17 +88,20 @@ class _Blocks:
         self._squares = np.diagonal(corners, axis1=-2, axis2=-1)
         self._crossed = corners + np.swapaxes(corners, -1, -2)
 
-    def exchanged(
-        self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp], together: Sequence[Sequence[int]]
+    def evidence_of_moves(
+        self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp], moves: Sequence[Sequence[int]]
     ) -> tuple[Floats, float]:
-        """Log evidence (x, r) with each run of blocks exchanged in each of x sets of effects, and that of ``on``."""
+        """Log evidence (x, r) after each of x ``moves`` with each run of blocks, and that of the states ``on`` (e, b).
+
+        A move exchanges the states of some effects, by number, in all blocks of the run.
+        """
         active, switch = on.astype(float), np.where(on, -1.0, 1.0)
         products = (self._G @ active[:, :, None])[..., 0]
         score, strength = (self._s * active).sum(axis=-1), (active[:, None] * products).sum(axis=-1)
         costs = [changes.cost(state) for changes, state in zip(self._changes, on, strict=True)]
         more_score, more_strength = _cumulated(switch * self._s), _cumulated(switch[:, None] * products)
-        evidence = np.empty((len(together), len(first)))
-        for row, effects in zip(evidence, together, strict=True):
+        evidence = np.empty((len(moves), len(first)))
+        for row, effects in zip(evidence, moves, strict=True):
             scores, strengths = np.tile(score[:, None], len(first)), np.tile(strength[..., None], len(first))
             paid = np.full(len(first), sum(costs))
             for c in effects:
@@ -118,7 +121,7 @@ class _Blocks:
         return evidence, float(self._evidence(score, strength)) - sum(costs)
 
     def _evidence(self, score: Floats, strength: Floats) -> Floats:
-        return evidence_together(
+        return joint_evidence(
             score, strength, [prior.sd for prior in self._priors], [prior.is_positive for prior in self._priors]
         )
 
@@ -160,25 +163,23 @@ def edges_by_run(on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> N
     return edges
 
 
-def evidence_together(score: Floats, strength: Floats, sds: Sequence[float], positive: Sequence[bool]) -> Floats:
+def joint_evidence(score: Floats, strength: Floats, sds: Sequence[float], positive: Sequence[bool]) -> Floats:
     """Log Bayes factor (...) of e amplitudes against none; minus infinity where one that is ``positive`` is negative.
 
     ``score`` (e, ...) and ``strength`` (e, e, ...): moments and products of their columns, all else eliminated. One
     amplitude after the other is eliminated, and its factor is that given those after it at zero.
     """
-    score, strength, effects = score.copy(), strength.copy(), range(len(sds))
-    gain, spreads = np.zeros(score.shape[1:]), list[Floats]()
-    for c, sd in enumerate(sds):
-        value, spread = posterior_of(score[c], strength[c, c], sd)
+    rest, remaining = score, strength
+    gain, factors = np.zeros(score.shape[1:]), list[tuple[Floats, Floats]]()
+    for sd in sds:
+        value, spread = posterior_of(rest[0], remaining[0, 0], sd)
         gain = gain + log_bayes_factor(value, spread, sd)
-        for d in effects[c + 1 :]:
-            share = strength[d, c] * spread**2
-            score[d] -= share * score[c]
-            strength[d, c + 1 :] -= share * strength[c, c + 1 :]
-        spreads.append(spread)
+        factors.append((value, remaining[0, 1:] * spread**2))
+        rest, remaining = first_eliminated(rest, remaining, sd)
     values = np.zeros(score.shape)
-    for c in reversed(effects):
-        values[c] = spreads[c] ** 2 * (score[c] - (strength[c, c + 1 :] * values[c + 1 :]).sum(axis=0))
+    for c in reversed(range(len(sds))):  # given those of the later ones
+        value, along = factors[c]
+        values[c] = value - (along * values[c + 1 :]).sum(axis=0)
         if positive[c]:
             gain = np.where(values[c] < 0, -np.inf, gain)
     return gain

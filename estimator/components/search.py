@@ -172,16 +172,19 @@ class Search:
             for number, drive in enumerate(drives)
         ]
         space = HypothesisSpace(drives, self._given, candidates)
-        fitted = space.fitted_hypothesis()
-        pairs = ((number, times) for number in range(len(drives)) for times in self._candidates.handed_over[number])
-        changed = (space.with_times(fitted, number, times) for number, times in pairs)
-        starts = [hypothesis for hypothesis in changed if hypothesis and len(hypothesis) <= MAX_TERMS]
+        starts, fitted = self._with_best_pairs(space), space.fitted_hypothesis()
         if with_processes:  # they come to the effects found without them
             size = max(size, len(fitted) + 1)
             starts.append(fitted)
-        max_terms = max(size, *map(len, starts), 0)
+        max_terms = max([size, *map(len, starts)])
         table = weigh(space, space.groups(), min(max_terms, MAX_TERMS), starts)
         return _Round(max_terms=max_terms, space=space, table=table, chosen=table.best, states=space.fitted(table.best))
+
+    def _with_best_pairs(self, space: HypothesisSpace) -> list[Hypothesis]:
+        """Hypotheses that the drives were fitted with, each with the best times of two of its effects together."""
+        fitted, pairs = space.fitted_hypothesis(), self._candidates.pairs
+        changed = [space.with_times(fitted, number, times) for number in pairs for times in pairs[number]]
+        return [hypothesis for hypothesis in changed if hypothesis and len(hypothesis) <= MAX_TERMS]
 
     def _converged(
         self,

@@ -1,8 +1,8 @@
 """Find the times of an effect that no signal shows: those with most evidence beside a set of terms.
 
 The drive is cut into blocks at gaps, and where a change of state has the highest score. Runs of blocks are switched on
-or off (`exchange.py`), and the edges of the resulting times are moved (`edges.py`). Runs may also pass from one of two
-effects to the other.
+or off (`exchange.py`), and the edges of the resulting times are moved (`edges.py`). Two effects may also be searched
+together, so that runs pass from one to the other.
 """
 
 from collections.abc import Sequence
@@ -65,8 +65,9 @@ class Switching:
         profile = np.round(column / size, PROFILE_DIGITS)
         key = tuple(chosen), tuple(earlier), profile.tobytes()
         if key not in self._cuts:
-            hypotheses = [[*chosen], [*chosen, *earlier]] if earlier else [[*chosen]]
-            self._cuts[key] = self._cut(list(chosen), [profile], hypotheses, self._acting(earlier))
+            beside = list(chosen)
+            hypotheses = [beside, [*beside, *earlier]] if earlier else [beside]
+            self._cuts[key] = self._cut(beside, [profile], hypotheses, self._acting(earlier))
         cut = self._cuts[key]
         off = np.zeros_like(cut.score, dtype=bool)
         prior = self._prior(effect, cut)
@@ -77,7 +78,7 @@ class Switching:
         spans = _spans(self._joint.frame, on)
         return spans, prior_cost(spans, effect, self._joint.frame.strides.t)
 
-    def handed_over(self, effects: tuple[Effect, Effect]) -> dict[str, Spans]:
+    def best_pair(self, effects: tuple[Effect, Effect]) -> dict[str, Spans]:
         """Times of two effects that act, by name: those with most evidence together, found from their present times.
 
         Runs are switched in either of them, or pass from one to the other; one may lose all of its times.

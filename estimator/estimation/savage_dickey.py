@@ -26,3 +26,13 @@ def posterior_of(score: Floats | float, strength: Floats | float, prior_sd: floa
     """
     precision = np.maximum(strength, 0.0) + prior_sd**-2.0
     return np.divide(score, precision), 1 / np.sqrt(precision)
+
+
+def first_eliminated(scores: Floats, products: Floats, prior_sd: float) -> tuple[Floats, Floats]:
+    """Scores (k - 1, ...) and products (k - 1, k - 1, ...) of all columns but the first, whose amplitude is eliminated.
+
+    ``scores`` (k, ...) and ``products`` (k, k, ...) have everything else eliminated; it has the prior N(0,
+    ``prior_sd``^2).
+    """
+    share = products[1:, 0] / (np.maximum(products[0, 0], 0.0) + prior_sd**-2.0)
+    return scores[1:] - share * scores[0], products[1:, 1:] - share[:, None] * products[0, 1:]

@@ -355,11 +355,11 @@ def test_blocks_pass_from_an_effect_that_holds_them_to_the_one_that_acts(seed):
 def test_evidence_of_exchanged_runs_is_that_of_the_states_computed_anew(seed):
     rng, b = np.random.default_rng(seed), 7
     G, s, on = blocks_of(rng, 2, b), rng.normal(0, 40, (2, b)), rng.random((2, b)) < 0.5
-    priors, together = [prior_of(rng, b), prior_of(rng, b, sd=0.5)], [[0], [1], [0, 1]]
+    priors, moves = [prior_of(rng, b), prior_of(rng, b, sd=0.5)], [[0], [1], [0, 1]]
     first, last = exchange._runs(on, np.full(b, b))
-    exchanged, present = exchange._Blocks(G, s, priors).exchanged(on, first, last, together)
+    moved, present = exchange._Blocks(G, s, priors).evidence_of_moves(on, first, last, moves)
     assert present == pytest.approx(exact_evidence(G, s, priors, on))
-    for effects, evidence in zip(together, exchanged, strict=True):
+    for effects, evidence in zip(moves, moved, strict=True):
         for k, (start, end) in enumerate(zip(first, last, strict=True)):
             after = on.copy()
             after[effects, start:end] ^= True
@@ -368,8 +368,8 @@ def test_evidence_of_exchanged_runs_is_that_of_the_states_computed_anew(seed):
 
 def test_an_amplitude_that_would_be_negative_beside_another_is_impossible():
     score, strength = np.array([2.0, 0.5]), np.array([[1.0, 0.9], [0.9, 1.0]])
-    assert np.isfinite(exchange.evidence_together(score, strength, [1.0, 1.0], [True, False]))
-    assert exchange.evidence_together(score, strength, [1.0, 1.0], [True, True]) == -np.inf  # it has a positive score
+    assert np.isfinite(exchange.joint_evidence(score, strength, [1.0, 1.0], [True, False]))
+    assert exchange.joint_evidence(score, strength, [1.0, 1.0], [True, True]) == -np.inf  # it has a positive score
 
 
 def test_a_block_before_a_long_pause_may_be_on_alone_but_in_no_longer_run():
@@ -516,7 +516,7 @@ def test_times_pass_from_an_effect_that_holds_them_to_the_one_that_acts(fan_acts
     by_fan = EffectTerm(fan, Quantity.FAN_SPEED) if is_shown else EffectTerm(fan, None, held)
     terms = EffectTerm(brake, None, of_brake[:1]), by_fan
     state = state.with_terms(tuple(term_of(Frame.of(state.fit), term) for term in terms))
-    times = switching.Switching(state.joint).handed_over((brake, fan))
+    times = switching.Switching(state.joint).best_pair((brake, fan))
     assert_allclose(times[brake.name], of_brake, atol=1.0)
     assert_allclose(np.reshape(times[fan.name], (-1, 2)), np.reshape(of_fan, (-1, 2)), atol=1.0)
 

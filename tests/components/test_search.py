@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_strides import made_strides
+from numpy.testing import assert_allclose
 
 from estimator.components import search
 from estimator.components.candidate_terms import CandidateTerms, EarlierTerms
@@ -202,7 +203,7 @@ def test_times_that_passed_between_two_effects_make_a_hypothesis(monkeypatch):
         tuple(term_of(frame, EffectTerm(effect, None, spans), 1.0) for effect, spans in held.items())
     )
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())
-    monkeypatch.setattr(Switching, "handed_over", lambda self, effects: passed)
+    monkeypatch.setattr(Switching, "best_pair", lambda self, effects: passed)
     candidates = CandidateTerms([brake, fan], [()], EarlierTerms())
     space = HypothesisSpace((chosen,), [()], [candidates.on_drive(0, chosen, False, False)])
     fitted = space.fitted_hypothesis()
@@ -211,11 +212,37 @@ def test_times_that_passed_between_two_effects_make_a_hypothesis(monkeypatch):
         assert hypothesis is not None
         return {space.keys[i][0]: space.keys[i][2] for i in hypothesis}
 
-    assert candidates.handed_over == {0: [passed]}
+    assert candidates.pairs == {0: [passed]}
     assert times(fitted) == {effect.name: spans for effect, spans in held.items()}
     assert times(space.with_times(fitted, 0, passed)) == passed
     assert times(space.with_times(fitted, 0, {fan.name: ()})) == {brake.name: held[brake]}
     assert space.with_times(fitted, 0, {fan.name: ((1.0, 30.0),)}) is None
+
+
+@pytest.mark.slow
+def test_a_brake_gets_the_times_that_a_fan_held_in_one_round(monkeypatch):
+    """Either change alone lowers the evidence, so that no step of the table by itself makes it."""
+    brake, fan = BY_NAME["brake_use"], BY_NAME["auxiliary_cycling"]
+    of_brake, of_fan = ((200.0, 225.0), (520.0, 538.0), (860.0, 885.0)), ((1100.0, 1290.0),)
+    t = np.arange(1500) + 0.5
+    speed = 15 + 4 * np.sin(np.arange(1501) / 15)
+    force = 20e3 * np.diff(speed) + 2e3 + np.random.default_rng(4).normal(0, 100.0, len(t))
+    force += 5e3 * covered(t, 1.0, of_brake) + 60e3 * covered(t, 1.0, of_fan) / (0.5 * (speed[1:] + speed[:-1]))
+    plain = DriveState.of(made_strides(speed, force, {Quantity.ELAPSED: t, Quantity.STOPS: 0.0 * t}), is_level=True)
+    assert plain is not None
+    terms = EffectTerm(brake, None, of_brake[:1]), EffectTerm(fan, None, (*of_brake[1:], *of_fan))
+    held = plain.with_terms(tuple(term_of(Frame.of(plain.fit), term, 1.0) for term in terms))
+    monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())  # those of the pair are left
+
+    def chosen_times() -> dict[str, Spans | None]:
+        latest = Search((plain,), [brake, fan])._round((held,), 2, False, False)
+        return {term.name: term.spans for term in latest.states[0].chosen}
+
+    times = chosen_times()
+    assert_allclose(times[brake.name], of_brake, atol=1.0)
+    assert_allclose(times[fan.name], of_fan, atol=1.0)
+    monkeypatch.setattr(Search, "_with_best_pairs", lambda self, space: [])
+    assert chosen_times() != times
 
 
 def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monkeypatch):
