@@ -1,14 +1,13 @@
 """Search for the most probable hypothesis: renew the table of models and the scales of road and noise in turn.
 
 Noise scales fitted without the effects are too large, and hide them. The table is therefore made in rounds, each with
-hypotheses of one term more. After each round, the scales of road and noise are refitted with the most probable one, and
-times of switching effects are proposed again.
+hypotheses of up to one term more than act already. After each round, the scales of road and noise are refitted with the
+most probable one, and times of switching effects are proposed again.
 """
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import count
 
 import numpy as np
 
@@ -19,8 +18,8 @@ from estimator.components.model_table import MAX_TERMS, Hypothesis, ModelTable, 
 from estimator.components.search_result import SearchResult, log_evidence, ranked, search_result
 from estimator.model.effects.effect import Effect
 
-FIRST_SIZE = 2  # terms at most, of hypotheses in the first round
-MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
+FIRST_TERMS = 2  # at most, of hypotheses in the first round, before any effect acts
+MIN_ROUND_GAIN = 3.0  # in log evidence, for one round more
 ROUNDING = 1e-6  # of log evidence, by which a round that finds the same hypothesis and scales again may differ
 
 _Fit = tuple[float, tuple[DriveState, ...]]  # log posterior, and the drives fitted
@@ -28,9 +27,8 @@ _Fit = tuple[float, tuple[DriveState, ...]]  # log posterior, and the drives fit
 
 @dataclass(frozen=True, kw_only=True)
 class _Round:
-    """Table of hypotheses of up to ``max_terms`` terms, the one chosen from it, and the drives fitted with that one."""
+    """Table of hypotheses, the one chosen from it, and the drives fitted with that one."""
 
-    max_terms: int
     space: HypothesisSpace
     table: ModelTable
     chosen: Hypothesis
@@ -64,7 +62,11 @@ class _Round:
 
 
 class _OutOfReachError(Exception):
-    """Raised if the search is not expected to reach the required log posterior."""
+    """Raised if the search is not expected to reach the required log posterior; ``states`` are those it had come to."""
+
+    def __init__(self, states: tuple[DriveState, ...]) -> None:
+        super().__init__()
+        self.states = states
 
 
 class Search:
@@ -107,8 +109,8 @@ class Search:
     def result_above(self, min_log_posterior: float) -> SearchResult | None:
         """Search as in `result`; None as soon as the log posterior is not expected to reach ``min_log_posterior``."""
         try:
-            effects_only = self._with_effects_only(min_log_posterior)
-            last_round = self._converged(effects_only, True, True, min_log_posterior)
+            self.effects_only = self._with_effects_only(min_log_posterior)
+            last_round = self._converged(self.effects_only, True, True, min_log_posterior)
         except _OutOfReachError:
             return None
         return self._result(last_round)
@@ -130,7 +132,11 @@ class Search:
         _OutOfReachError
             The search would not reach ``min_log_posterior``.
         """
-        fits = self._effects_from(self._start, min_log_posterior)
+        try:
+            fits = self._effects_from(self._start, min_log_posterior)
+        except _OutOfReachError as error:
+            self._start = error.states
+            raise
         if all(any(drive.has_unusual_noise for drive in states) for states in (self._drives, fits[0][1])):
             fits += self._effects_from(self._drives, -np.inf)
         return max(fits, key=lambda fit: fit[0])[1]
@@ -153,12 +159,11 @@ class Search:
     def _round(
         self,
         states: tuple[DriveState, ...],
-        size: int,
         with_processes: bool,
         with_stretches: bool,
         left_out: Set[str] = frozenset(),
     ) -> _Round:
-        """Make a table at the present scales, of hypotheses of up to ``size`` terms, or one more than act already.
+        """Make a table at the present scales, of hypotheses with up to one term more than act already.
 
         Effects with names in ``left_out`` are in no hypothesis.
         """
@@ -172,19 +177,17 @@ class Search:
             for number, drive in enumerate(drives)
         ]
         space = HypothesisSpace(drives, self._given, candidates)
-        starts, fitted = self._with_best_pairs(space), space.fitted_hypothesis()
-        if with_processes:  # they come to the effects found without them
-            size = max(size, len(fitted) + 1)
-            starts.append(fitted)
-        max_terms = max([size, *map(len, starts)])
-        table = weigh(space, space.groups(), min(max_terms, MAX_TERMS), starts)
-        return _Round(max_terms=max_terms, space=space, table=table, chosen=table.best, states=space.fitted(table.best))
+        fitted = space.fitted_hypothesis()
+        starts = [fitted, *self._with_best_pairs(space, fitted)]
+        max_terms = min(max(FIRST_TERMS, len(fitted) + 1), MAX_TERMS)
+        table = weigh(space, space.groups(), max_terms, starts)
+        return _Round(space=space, table=table, chosen=table.best, states=space.fitted(table.best))
 
-    def _with_best_pairs(self, space: HypothesisSpace) -> list[Hypothesis]:
-        """Hypotheses that the drives were fitted with, each with the best times of two of its effects together."""
-        fitted, pairs = space.fitted_hypothesis(), self._candidates.pairs
+    def _with_best_pairs(self, space: HypothesisSpace, fitted: Hypothesis) -> list[Hypothesis]:
+        """The hypothesis that the drives were ``fitted`` with, with the best times of two of its effects together."""
+        pairs = self._candidates.pairs
         changed = [space.with_times(fitted, number, times) for number in pairs for times in pairs[number]]
-        return [hypothesis for hypothesis in changed if hypothesis and len(hypothesis) <= MAX_TERMS]
+        return [hypothesis for hypothesis in changed if hypothesis is not None]
 
     def _converged(
         self,
@@ -211,7 +214,7 @@ class Search:
 
     def _best_round(
         self,
-        states: tuple[DriveState, ...],
+        start: tuple[DriveState, ...],
         with_processes: bool,
         with_stretches: bool,
         min_log_posterior: float,
@@ -226,11 +229,12 @@ class Search:
         """
         best: _Round | None = None
         highest, highest_impossible, impossible = -np.inf, -np.inf, set[str]()
-        for size in count(FIRST_SIZE):
-            latest = self._round(states, size, with_processes, with_stretches, left_out)
+        states, gain = start, np.inf
+        while gain >= MIN_ROUND_GAIN:
+            latest = self._round(states, with_processes, with_stretches, left_out)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
-                raise _OutOfReachError
-            if size == FIRST_SIZE and not left_out:  # a start with an effect that is left out is no measure
+                raise _OutOfReachError(latest.states)
+            if states is start and not left_out:  # a start with an effect that is left out is no measure
                 highest = latest.start_log_posterior
             value = latest.log_posterior
             if best is not None and value < highest - ROUNDING:
@@ -243,9 +247,6 @@ class Search:
                 gain, highest_impossible = value - highest_impossible, max(value, highest_impossible)
             else:
                 gain, best, highest = value - highest, latest, value
-            may_grow = len(latest.chosen) == latest.max_terms  # not beyond MAX_TERMS, where each round has to gain
-            if not (gain >= MIN_ROUND_GAIN or may_grow):
-                break
         if best is None:
             left_out |= impossible
         return best

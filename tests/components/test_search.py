@@ -41,6 +41,7 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
     drive = SimpleNamespace(
         log_evidence=log_evidence,
         chosen=(),
+        hypothesis=chosen,
         magnitudes=np.empty(0),
         stretches=None,
         beyond_limits=lambda given: beyond,
@@ -56,14 +57,17 @@ def rounds(
     script: Sequence[Round],
     started: list[Any] | None = None,
     *,
+    sizes: list[int] | None = None,
+    above: float | None = None,
     stays_unusual: bool = False,
     **start: Any,
 ) -> float:
     """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive.
 
-    The drive that each round starts from is added to ``started``.
+    The drive that each round starts from is added to ``started``, and how many terms its hypotheses may have to
+    ``sizes``. With ``above``, the search is first cut off because it will not come to so much.
     """
-    waiting = iter(script)
+    waiting, sizes = iter(script), [] if sizes is None else sizes
 
     class Scripted:
         def __init__(self, drives: tuple[Any, ...], *arguments: object) -> None:
@@ -77,8 +81,8 @@ def rounds(
         def fitted(self, chosen: object) -> tuple[Any, ...]:
             return (state(self.value, self.chosen, has_unusual_noise=stays_unusual),)
 
-        def fitted_hypothesis(self) -> tuple[()]:
-            return ()
+        def fitted_hypothesis(self) -> tuple[int, ...]:
+            return tuple(self.drives[0].hypothesis)
 
         def log_prior(self, chosen: object, groups: object) -> float:
             return 0.0
@@ -89,9 +93,15 @@ def rounds(
         def rivals(self, table: object) -> tuple[()]:
             return ()
 
+    def scripted(space: Scripted, groups: object, max_terms: int, starts: object) -> object:
+        sizes.append(max_terms)
+        return SimpleNamespace(best=space.chosen)
+
     monkeypatch.setattr(search, "HypothesisSpace", Scripted)
-    monkeypatch.setattr(search, "weigh", lambda space, groups, size, start: SimpleNamespace(best=space.chosen))
-    (found,) = Search((state(0.0, **start),), ()).effects_only
+    monkeypatch.setattr(search, "weigh", scripted)
+    tried = Search((state(0.0, **start),), ())
+    assert above is None or tried.result_above(above) is None
+    (found,) = tried.effects_only
     assert not list(waiting)
     return float(found.log_evidence)
 
@@ -100,12 +110,12 @@ def test_a_set_with_less_evidence_by_its_own_scales_ends_the_rounds(monkeypatch)
     assert rounds(monkeypatch, [((1, 2), 30.0), ((1, 3, 4), 20.0)]) == 30.0
 
 
-def test_rounds_go_on_while_the_set_grows_or_its_evidence_does(monkeypatch):
-    assert rounds(monkeypatch, [((1, 2), 30.0), ((1, 2, 3), 30.2), ((1, 2, 3), 35.0), ((1, 2, 3), 35.3)]) == 35.3
+def test_rounds_go_on_while_the_evidence_grows(monkeypatch):
+    assert rounds(monkeypatch, [((1, 2), 30.0), ((1, 2, 3), 33.2), ((1, 2, 3), 37.0), ((1, 2, 3), 37.3)]) == 37.3
 
 
 def test_rounds_end_with_one_that_hardly_gains(monkeypatch):
-    assert rounds(monkeypatch, [((1,), 30.0), ((1,), 30.5)]) == 30.5
+    assert rounds(monkeypatch, [((1,), 30.0), ((1, 2), 30.5)]) == 30.5
 
 
 def test_a_set_whose_sizes_become_impossible_is_no_measure_for_the_next_one(monkeypatch):
@@ -132,9 +142,23 @@ def test_rounds_end_where_an_impossible_set_is_less_probable_than_one_before_it(
     assert rounds(monkeypatch, script) == 10.2
 
 
-def test_rounds_go_on_while_impossible_sets_grow(monkeypatch):
-    script = [((1,), 10.0), ((1, 2, IMPOSSIBLE), 30.0), ((1, 2, 3, IMPOSSIBLE), 29.0), ((1, 2, 3), 25.0), ((1,), 24.0)]
+def test_rounds_go_on_while_the_evidence_of_impossible_sets_grows(monkeypatch):
+    script = [((1,), 10.0), ((1, IMPOSSIBLE), 30.0), ((1, 2, IMPOSSIBLE), 34.0), ((1, 2, 3), 25.0), ((1,), 24.0)]
     assert rounds(monkeypatch, script) == 25.0
+
+
+def test_a_search_that_was_cut_off_goes_on_where_it_stopped(monkeypatch):
+    started = list[Any]()
+    script = [((1,), 10.0), ((1, 2), 20.0), ((1, 2), 20.2)]
+    assert rounds(monkeypatch, script, started, above=1000.0) == 20.2
+    assert [drive.hypothesis for drive in started] == [(), (1,), (1, 2)]
+
+
+def test_hypotheses_have_up_to_one_term_more_than_act_two_at_first(monkeypatch):
+    sizes = list[int]()
+    rounds_of = [((1, 2), 30.0), ((1, 2, 3), 40.0), ((1, 2, 3, 4, 5), 50.0), ((1, 2, 3, 4, 5), 50.2)]
+    assert rounds(monkeypatch, rounds_of, sizes=sizes) == 50.2
+    assert sizes == [2, 3, 4, 5]
 
 
 def test_where_all_sets_are_impossible_the_search_starts_again_without_their_effects(monkeypatch):
@@ -235,13 +259,13 @@ def test_a_brake_gets_the_times_that_a_fan_held_in_one_round(monkeypatch):
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())  # those of the pair are left
 
     def chosen_times() -> dict[str, Spans | None]:
-        latest = Search((plain,), [brake, fan])._round((held,), 2, False, False)
+        latest = Search((plain,), [brake, fan])._round((held,), False, False)
         return {term.name: term.spans for term in latest.states[0].chosen}
 
     times = chosen_times()
     assert_allclose(times[brake.name], of_brake, atol=1.0)
     assert_allclose(times[fan.name], of_fan, atol=1.0)
-    monkeypatch.setattr(Search, "_with_best_pairs", lambda self, space: [])
+    monkeypatch.setattr(Search, "_with_best_pairs", lambda self, space, fitted: [])
     assert chosen_times() != times
 
 
