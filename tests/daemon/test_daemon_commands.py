@@ -1,5 +1,6 @@
 """`roadload run`, `check` and `status` as a user meets them."""
 
+import errno
 import json
 import os
 import signal
@@ -25,10 +26,11 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import open_log
 from estimator.checkpoint.store import StateStore
-from estimator.daemon.service import folder_lock
+from estimator.daemon.service import folder_lock, supervision
 from estimator.daemon.service.assembly import Plan, plan, restored
 from estimator.daemon.service.loop import Daemon
-from estimator.daemon.service.supervision import Signals, supervise
+from estimator.daemon.service.sd_notify import Notifier
+from estimator.daemon.service.supervision import Signals, _reload, supervise
 from estimator.daemon.service.worker import Worker
 from estimator.errors import ConfigError, RoadloadError
 from estimator.settings import Transmit, Vehicle
@@ -332,6 +334,38 @@ def test_a_new_configuration_with_the_folder_of_another_daemon_is_not_used(
     assert "another daemon" in caplog.text
     running.stop()
     assert running.failure is None
+
+
+def test_a_new_configuration_with_an_effect_that_is_not_known_is_not_used(settings: Path) -> None:
+    settings.write_text("effects = ['nonsense']\n" + settings.read_text())
+    with pytest.raises(ConfigError, match="'nonsense' is not known"):
+        plan(settings, None, Namespace())
+
+
+def test_a_configuration_that_cannot_be_read_leaves_the_old_one(
+    settings: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    def denied() -> Plan:
+        raise PermissionError(errno.EACCES, "Permission denied", str(settings))
+
+    assert _reload(plan(settings, None, Namespace()), denied, Notifier()) is None
+    assert "the old one stays: [Errno 13] Permission denied" in caplog.text
+
+
+def test_the_pipeline_of_an_estimator_that_failed_is_not_given_to_the_next_daemon(
+    settings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, following = list[Pipeline](), [plan(settings, None, Namespace()), None]
+
+    def serve(daemon: Daemon, *others: object) -> Plan | None:
+        given.append(daemon.worker.pipeline)
+        daemon.worker.failure = RuntimeError("broken")
+        daemon.close()
+        return following.pop(0)
+
+    monkeypatch.setattr(supervision, "_serve", serve)
+    supervise(lambda: plan(settings, None, Namespace()), Signals())
+    assert given[0] is not given[1]
 
 
 def test_a_pipeline_that_is_still_at_work_is_not_given_to_the_next_daemon(

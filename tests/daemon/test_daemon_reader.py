@@ -94,6 +94,34 @@ def test_a_socket_is_drained_at_once_with_the_stamps_of_the_kernel(pair: tuple[s
     assert (reader.buffer_bytes() or 0) > 4096
 
 
+class DamagedLines(can.BusABC):
+    """A serial adapter that gives ``lines``, one after the other and the last for ever; None is a damaged one."""
+
+    def __init__(self, *lines: can.Message | None) -> None:
+        self._lines = list(lines)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        line = self._lines.pop(0) if len(self._lines) > 1 else self._lines[0]
+        if line is None:
+            raise ValueError("invalid literal for int() with base 16: '0CF0?400'")
+        return line
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+    def shutdown(self) -> None:
+        """There is nothing to close."""
+
+
+def test_damaged_lines_of_a_serial_adapter_are_counted() -> None:
+    frame = can.Message(timestamp=1.0, arbitration_id=5, data=[1])
+    batch = MessageReader(DamagedLines(None, frame, None, None, frame)).read(0.0)
+    assert batch.malformed == 3
+    assert len(batch.frames) + batch.malformed > 4000  # a batch: the last line is given for ever
+    with pytest.raises(can.CanOperationError, match="damaged lines only"):
+        MessageReader(DamagedLines(None)).read(0.0)
+
+
 def test_what_came_before_a_failure_counts_and_the_failure_is_told_next(monkeypatch: pytest.MonkeyPatch) -> None:
     data = build_can_frame(can.Message(arbitration_id=1))
 

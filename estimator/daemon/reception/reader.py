@@ -202,7 +202,13 @@ class MessageReader:
         return False
 
     def _receive(self, timeout: float) -> tuple[can.Message | None, int]:
-        """The next message, and the number of datagrams before it that were no CAN messages."""
+        """The next message, and the number of datagrams or damaged lines of a serial adapter before it.
+
+        Raises
+        ------
+        can.CanOperationError
+            There is nothing but damaged lines.
+        """
         malformed = 0
         while malformed < MAX_BATCH:
             try:
@@ -210,6 +216,9 @@ class MessageReader:
             except can.CanOperationError as error:
                 if not self._takes_datagrams or isinstance(error.__cause__, OSError | None):
                     raise
+            except ValueError as error:  # python-can reads numbers of a line without a check
+                if malformed + 1 == MAX_BATCH:
+                    raise can.CanOperationError(f"damaged lines only: {error}") from error
             malformed, timeout = malformed + 1, 0
         return None, malformed
 

@@ -72,7 +72,7 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
     Raises
     ------
     InputError
-        Configuration, databases or the choice of buses are wrong.
+        Configuration, databases, effects, the map or the choice of buses are wrong.
     """
     settings = settle(path, dbc, options)
     if settings.lake is not None:
@@ -82,6 +82,7 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
     messages = bind(settings, database)
     for remark in database.remarks:
         log.warning("%s", remark)
+    Pipeline(settings, is_live=True)  # raises if an effect is not known, or the map cannot be read
     source = spec_of(options, settings.reception)
     source.resolved()
     target: BusSpec | None = None

@@ -68,9 +68,11 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
             return
         if daemon.worker.is_running:
             raise RoadloadError("the estimator did not finish before the new configuration could be used; start again")
-        # The same vehicle and settings: the pipeline is kept, to the last frame, and so is its time.
+        # The same vehicle and settings: the pipeline is kept, to the last frame, and so is its time. What an estimator
+        # that failed leaves may be broken: its state is restored.
         is_same = following.key == plan.key
-        pipeline, clocks = (daemon.worker.pipeline, daemon.clocks) if is_same else (None, None)
+        clocks = daemon.clocks if is_same else None
+        pipeline = daemon.worker.pipeline if is_same and daemon.worker.failure is None else None
         plan = following
 
 
@@ -98,7 +100,7 @@ def _reload(running: Plan, make_plan: Callable[[], Plan], notifier: Notifier) ->
     try:
         following = make_plan()
         rehearse(following, running)
-    except RoadloadError as error:
+    except (RoadloadError, OSError) as error:
         log.error("the new configuration cannot be used, the old one stays: %s", error)
         notifier.send("READY=1")
         return None
