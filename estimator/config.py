@@ -281,7 +281,7 @@ def load(path: Path | str | None = None) -> Config:
         return Config()
     path = located(Path(path))
     try:
-        text = read_bounded(path, MAX_FILE_BYTES).decode("utf-8")
+        text = read_bounded(path, MAX_FILE_BYTES).decode("utf-8-sig")
         _refuse_long_keys(text)
         tables = tomllib.loads(text)
     except OSError as error:

@@ -156,6 +156,11 @@ def test_malformed(tmp_path: Path, text: str | bytes) -> None:
     assert refusal(write(tmp_path, text)).startswith("not valid TOML: ")
 
 
+def test_a_mark_of_the_byte_order_before_the_first_line_is_no_part_of_it(tmp_path: Path) -> None:
+    path = write(tmp_path, "\N{ZERO WIDTH NO-BREAK SPACE}[vehicle]\r\ndriveline_efficiency = 0.9\r\n")
+    assert load(path).vehicle.driveline_efficiency == 0.9
+
+
 def test_no_such_file_and_a_folder(tmp_path: Path) -> None:
     assert refusal(tmp_path / "none.toml") == "No such file or directory; roadload init writes one"
     assert refusal(tmp_path) == "Is a directory"

@@ -13,7 +13,7 @@ from cantools.database.conversion import BaseConversion
 
 from estimator.can_io.binding import BoundMessage, bind, load_database
 from estimator.can_io.frames import FD_BYTES
-from estimator.can_io.table_columns import FIRST_IDENT, NUMBER_BYTES, binding_of, database_of
+from estimator.can_io.table_columns import FIRST_IDENT, FORCE, NUMBER_BYTES, POWER, binding_of, database_of
 from estimator.config import Config
 from estimator.errors import ConfigError
 
@@ -28,9 +28,16 @@ def bound_messages(config: Config) -> list[BoundMessage]:
     DatabaseError
         A message or signal is not known, or its unit is unknown or of the wrong kind.
     ConfigError
-        ``bus.match`` or ``bus.source_addresses`` does not fit a message, or a lake's signals are too many.
+        ``bus.match`` or ``bus.source_addresses`` does not fit a message, a lake's signals are too many, or a driveline
+        is given beside a power at the wheels.
     """
     if config.table is not None:
+        at_wheels = sorted({POWER, FORCE} & config.table.columns.keys())
+        if at_wheels and config.vehicle.driveline_efficiency < 1:
+            raise ConfigError(
+                f"vehicle.driveline_efficiency: the table's {at_wheels[0]} is that at the wheels; take the key out, or "
+                "give a power at the crank as engine_power"
+            )
         signals = dict(binding_of(config.table))
         bound = bind(msgspec.structs.replace(config, signals=signals, table=None), database_of(config.table))
         return [replace(message, j1939=False, cycle=None) for message in bound]

@@ -9,9 +9,10 @@ from estimator.answers.binding import BindingAnswer
 from estimator.answers.inspection import InspectionAnswer
 from estimator.commands.estimate_table import STYLES, print_estimate
 from estimator.commands.terminal import say
-from estimator.model.effects import BY_NAME, unbound
+from estimator.model.effects import unbound
 from estimator.printable import printable
-from estimator.report import number_format, parameter_text, summary, usual_units
+from estimator.report import parameter_text, summary, usual_units
+from estimator.report.effect_sizes import effect_size
 from estimator.report.next_step import next_step
 from estimator.roles import Role
 from estimator.streaming.replay import Run
@@ -47,10 +48,10 @@ def _print_fit(console: Console, run: Run) -> None:
     final, estimator = run.final, run.pipeline.estimator
     if (road := summary.road(final)) is not None:
         say(console, f"road      {parameter_text.road(road)}")
-    beside = {effect.name: effect for effect in unbound(run.pipeline.config.binding.keys()).values()}
-    for name, what in ({name: BY_NAME[name] for name in run.pipeline.effects} | beside).items():
+    beside = [effect.name for effect in unbound(run.pipeline.config.binding.keys()).values()]
+    for name in [*run.pipeline.effects, *beside]:
         size = final.effects.get(name)
-        found = "" if size is None else f": {number_format.with_interval(size.mean, size.q05, size.q95, what.unit)}"
+        found = "" if size is None else f": {effect_size(name, size)}"
         say(console, f"effect    {name}{found}")
     evidence = estimator.evidence
     if evidence is not None:

@@ -124,7 +124,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
         deviation=deviation,
         where=tuple(biased_parts(traces, context_of(decision))),
         isolability=isolability(longest, tested),
-        not_testable=missing,
+        not_testable=tuple(effect for effect in missing if effect.name not in reported),
         invisible=invisible(longest, others, decision.thresholds.min_expected_log_bf),
         advice=facts.advice(result, effects, verdict, named),
         experiments=_experiments(decision, effects, verdict, named, ranking),

@@ -69,8 +69,8 @@ def _axes(traces: Traces, context: Mapping[Quantity, Floats]) -> list[tuple[str,
         ("power", "kW", power, _quantiles(power)),
     ]
     if np.all(np.diff(traces.t) > 0):
-        elapsed, distance = traces.t - traces.t[0], traces.distance / 1e3
-        axes += [("time", "s", elapsed, _equal(elapsed)), ("distance", "km", distance, _equal(distance))]
+        distance = traces.distance / 1e3
+        axes += [("time", "s", traces.t, _equal(traces.t)), ("distance", "km", distance, _equal(distance))]
     if Quantity.GEAR in context:
         gear = np.round(context[Quantity.GEAR])
         axes.append(("gear", "", gear, np.arange(gear.min(), gear.max() + 2)))

@@ -239,11 +239,11 @@ class Diagnosis:
 
     @property
     def ranking(self) -> tuple[Finding, ...]:
-        """All findings, most probable first, and those of one probability in per cent by their evidence."""
+        """All findings, most probable first, and those of one probability in tenths of a per cent by their evidence."""
         named = {finding.name for finding in self.effects}
         others = [finding for finding in self.candidates if finding.name not in named]
         every = (*self.effects, *others)
-        return tuple(sorted(every, key=lambda finding: (-round(finding.probability, 2), -finding.log_bayes_factor)))
+        return tuple(sorted(every, key=lambda finding: (-round(finding.probability, 3), -finding.log_bayes_factor)))
 
     @property
     def table(self) -> dict[str, Any]:

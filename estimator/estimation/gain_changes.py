@@ -72,7 +72,12 @@ class GainChanges:
         contradiction = "two parts of the drive contradict each other"
         if min(before, after) <= MIN_INVERSE_MASS:
             return f"{contradiction}: in one of them speed does not change with force"
-        return f"{contradiction}: mass {1 / before:.4g} and {1 / after:.4g} kg"
+        return f"{contradiction}: mass {_mass(before)} and {_mass(after)} kg"
+
+
+def _mass(inverse: float) -> str:
+    """Mass [kg] of an ``inverse`` [1/kg], to four digits and never as a power of ten."""
+    return f"{float(f'{1 / inverse:.4g}'):,.0f}"
 
 
 def gain_changes(found: RoadFit) -> GainChanges:

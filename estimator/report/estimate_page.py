@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.estimates import Status
 from estimator.report import parameter_text, summary, wanted_driving
+from estimator.report.effect_sizes import effect_size
 from estimator.report.estimate_view import Curve, EstimateView, PowerTrace
 from estimator.report.number_format import MINUS, signed
 from estimator.report.page.document import Section, document, write_document
@@ -16,6 +17,7 @@ from estimator.report.page.series import BLOCKS, binned
 from estimator.report.page.tables import table
 from estimator.report.parameter_text import ROWS, Row
 from estimator.report.wanted_driving import BEGUN, OCCUPIED, WANTED
+from estimator.report.wording import label
 from estimator.signals import Floats
 from estimator.units import KMH
 
@@ -108,7 +110,8 @@ def _answer(view: EstimateView) -> str:
             rows.append((row.name, row.value(x.mean), row.interval(x.q05, x.q95), f"{100 * x.sd / x.mean:.2f} %"))
     content = table(("", "mean", "90 % interval", "sd"), rows, "answer")
     withheld = "".join(f"<li>{name} unestimated: {html.escape(reason)}</li>" for name, reason in final.withheld.items())
-    notes = [f"Air: {parameter_text.air(coefficients)}."] if final.C is not None else []
+    notes = [f"Effect in the model: {label(name)}, {effect_size(name, size)}." for name, size in final.effects.items()]
+    notes += [f"Air: {parameter_text.air(coefficients)}."] if final.C is not None else []
     if (road := summary.road(final)) is not None:
         notes.append(f"Road: {parameter_text.road(road)}.")
     return content + (f'<ul class="advice">{withheld}</ul>' if withheld else "") + _soft(*notes)

@@ -246,7 +246,10 @@ def interval(closed: GapClosed | None) -> str:
     for digits in (0, 1):
         low, high = (signed(f"{100 * q:.{digits}f}") for q in (closed.q05, closed.q95))
         if low != high:
-            return f"{percent(closed.fraction)} ({low} to {high} %)"
+            mean = percent(closed.fraction)
+            if digits and closed.q05 <= closed.fraction <= closed.q95:  # as many digits as its ends
+                mean = signed(f"{100 * closed.fraction:.{digits}f} %")
+            return f"{mean} ({low} to {high} %)"
     return percent(closed.fraction)
 
 

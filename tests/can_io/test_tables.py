@@ -14,16 +14,17 @@ from hypothesis import strategies as st
 from simulated_logs import TRUCK, ask, drive, written
 
 from estimator import estimate, from_table, read
+from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.logs import table_text
 from estimator.can_io.logs.table import SAME_TIME, SUFFIXES, TableLog
 from estimator.can_io.logs.table_times import SameTimes
 from estimator.can_io.table_columns import seconds_in, split_unit
 from estimator.commands.main import main
-from estimator.config import from_dict
-from estimator.errors import LogError, RoadloadError
+from estimator.config import Config, from_dict
+from estimator.errors import ConfigError, LogError, RoadloadError
 from estimator.library.estimation import Estimation
 from estimator.samples import STEP, Rows
-from estimator.settings import Table
+from estimator.settings import Table, Vehicle
 from estimator.signals import Role
 
 MAP = ["--map", "speed=v [km/h]", "--map", "power=P [kW]", "--map", "time=t [s]"]
@@ -198,6 +199,23 @@ def test_a_table_as_a_spreadsheet_of_another_country_writes_it(encoding: str, tm
 
 def test_commas_beside_decimal_points_are_not_taken_for_decimal_commas(tmp_path: Path) -> None:
     assert columns_read("t\tn\n0.1\t1,234\n", tmp_path / "a.tsv") == {"t": ["0.1"], "n": ["1,234"]}
+
+
+def test_a_quote_that_is_not_closed_does_not_hide_the_rows_after_it(tmp_path: Path) -> None:
+    rows = [f"{i},{i},\n" for i in range(100)]
+    rows[40] = '40,40,"3 inch\n'
+    with pytest.raises(LogError, match=r"t\.csv: line 42 has a quote that is not closed"):
+        columns_read("t,v,remark\n" + "".join(rows), tmp_path / "t.csv")
+    rows[40] = '40,40,"two\nlines"\n'
+    assert columns_read("t,v,remark\n" + "".join(rows), tmp_path / "t.csv")["t"] == [str(i) for i in range(100)]
+
+
+@pytest.mark.parametrize("role", ["power", "force"])
+def test_a_driveline_beside_a_power_at_the_wheels_is_refused(role: str) -> None:
+    table = Table(columns={"speed": "v [m/s]", role: "P [N]" if role == "force" else "P [kW]"})
+    settings = Config(table=table, vehicle=Vehicle(driveline_efficiency=0.9))
+    with pytest.raises(ConfigError, match=f"driveline_efficiency: the table's {role} is that at the wheels"):
+        bound_messages(settings)
 
 
 def test_a_row_with_more_cells_than_names_is_refused(tmp_path: Path) -> None:

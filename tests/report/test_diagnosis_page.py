@@ -449,7 +449,8 @@ def test_percent(fraction: float, words: str) -> None:
 
 @pytest.mark.parametrize(
     ("closed", "words"),
-    [((0.712, 0.66, 0.755), "71 % (66 to 76 %)"), ((0.001, 0.0, 0.002), "0.1 % (0.0 to 0.2 %)"),
+    [((0.712, 0.66, 0.755), "71 % (66 to 76 %)"),
+     ((0.9273, 0.9262, 0.9291), "92.7 % (92.6 to 92.9 %)"), ((0.001, 0.0, 0.002), "0.1 % (0.0 to 0.2 %)"),
      ((0.99999, 0.9999, 1.0), "> 99.9 %"), ((0.0, 0.0, 0.0), "0 %"), ((np.nan, 0.0, 0.0), number_format.NOTHING)],
 )  # fmt: skip
 def test_the_ends_of_an_interval_differ(closed: tuple[float, float, float], words: str) -> None:

@@ -16,7 +16,7 @@ from simulated_logs import ask, drive, written
 from estimator.answers.run import CoverageMap
 from estimator.config import Config
 from estimator.errors import ConfigError
-from estimator.estimates import Coverage, Estimate, Status
+from estimator.estimates import Coverage, Estimate, Marginal, Status
 from estimator.report.estimate_page import page, write_page
 from estimator.report.estimate_view import EstimateView, evidence_of, view_of
 from estimator.report.parameter_text import ROWS
@@ -147,6 +147,17 @@ def test_what_is_withheld_is_said_with_its_reason() -> None:
     assert "A unestimated: too uncertain &lt;yet&gt;" in text
     assert "Rolling resistance unestimated; drag unestimated." in text
     assert "c_rr</th>" not in text
+
+
+def test_effects_in_the_model_are_told_with_their_sizes() -> None:
+    view = made_view()
+    wind = Marginal(mean=5.743, sd=0.19, q05=5.435, q50=5.743, q95=6.047)
+    sizes = {"headwind": wind, "unbound_friction": Marginal(mean=90.0, sd=3.0, q05=85.0, q50=90.0, q95=95.0)}
+    final = dataclasses.replace(view.updates[-1], effects=sizes)
+    text = page(dataclasses.replace(view, updates=(*view.updates[:-1], final)))
+    assert "Effect in the model: headwind, 5.743 m/s (5.435 .. 6.047)." in text
+    assert "Effect in the model: unbound friction, 90.0 N m (85.0 .. 95.0)." in text
+    assert "Effect in the model" not in page(view)
 
 
 def test_a_value_that_is_withheld_at_the_end_has_no_dot_for_an_answer() -> None:

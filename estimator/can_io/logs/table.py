@@ -64,7 +64,8 @@ class TableLog(Log):
         super().__init__(path)
         self._table = table
         if not path.is_file():
-            raise LogError(f"{path}: no such file; check the path")
+            problem = "is a folder; give the files in it" if path.is_dir() else "no such file; check the path"
+            raise LogError(f"{path}: {problem}")
         if not path.name.lower().endswith(SUFFIXES):
             raise LogError(
                 f"{path}: is no table that can be read ({', '.join(SUFFIXES)}); export it as one of them, or, for a "

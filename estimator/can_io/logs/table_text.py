@@ -15,6 +15,7 @@ from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
 from estimator.errors import LogError
 
 MAX_FIELD = 1 << 16  # characters of a cell, and of a line: a longer one is none of a table
+MAX_ROW_LINES = 20  # of a row with line breaks in a quoted remark
 DELIMITERS = ",;\t|"
 
 
@@ -38,7 +39,7 @@ def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
             _check_heading(path, heading)
             chosen = wanted(heading)
             places = {name: i for i, name in enumerate(heading) if name in chosen}
-            reader = csv.reader(_lines(path, text), delimiter=delimiter)
+            reader = _whole_rows(path, text, delimiter)
             rows = _with_points(_cells(path, len(heading), list(places.values()), reader), delimiter)
             while part := list(islice(rows, ROWS)):
                 cells = dict(zip(places, zip(*part, strict=True), strict=True))
@@ -53,6 +54,17 @@ def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
         if len(line) == MAX_FIELD:
             raise LogError(f"{path}: has a line of over {MAX_FIELD} characters; give a CSV file")
         yield line
+
+
+def _whole_rows(path: Path, text: io.TextIOWrapper, delimiter: str) -> Iterator[list[str]]:
+    """The rows after the names, each of at most MAX_ROW_LINES lines: a quote that is not closed hides all after it."""
+    reader = csv.reader(_lines(path, text), delimiter=delimiter)
+    line = 1  # that of names
+    for row in reader:
+        if reader.line_num - (line - 1) > MAX_ROW_LINES:
+            raise LogError(f"{path}: line {line + 1} has a quote that is not closed; remove it")
+        line = 1 + reader.line_num
+        yield row
 
 
 def _cells(path: Path, names: int, places: Sequence[int], rows: Iterator[list[str]]) -> Iterator[list[str]]:
