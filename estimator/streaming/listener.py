@@ -39,6 +39,10 @@ class Worker(Protocol):
         """Message time [s] of the newest frame that `latest` takes into account."""
 
     @property
+    def rows_until(self) -> float | None:
+        """Message time [s] to which speed or power was read; None before the first, and after an interruption."""
+
+    @property
     def road_now(self) -> RoadAhead | None:
         """The road under the vehicle; None while it is not known."""
 
@@ -65,6 +69,11 @@ class InlineWorker:
     def heard(self) -> float | None:
         """Message time [s] of the newest frame that `latest` takes into account."""
         return self.pipeline.traffic.until
+
+    @property
+    def rows_until(self) -> float | None:
+        """Message time [s] to which speed or power was read; None before the first, and after an interruption."""
+        return self.pipeline.traffic.rows.until
 
     @property
     def road_now(self) -> RoadAhead | None:
@@ -145,11 +154,13 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
     def fresh(self, t: float) -> Estimate | None:
         """The newest estimate at message time ``t`` [s]; None where the load may have changed since it.
 
-        The load may change in a silence above MIN_NEW_DRIVE_SILENCE. A step back in time means another recording,
-        perhaps of another vehicle. The worker notices both later than this loop.
+        The load may change in a silence above MIN_NEW_DRIVE_SILENCE, also where other frames go on coming. A step back
+        in time means another recording, perhaps of another vehicle. The worker notices both later than this loop.
         """
-        estimate = self.latest
+        estimate, rows_until = self.latest, self._worker.rows_until
         is_silent = self._newest is not None and t - self._newest > MIN_NEW_DRIVE_SILENCE
+        if rows_until is not None and t - rows_until > MIN_NEW_DRIVE_SILENCE:
+            self._woken = t
         if estimate is None or is_silent or not self._woken <= estimate.t <= t + MAX_DELAY:
             return None
         return estimate

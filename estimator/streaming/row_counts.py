@@ -29,6 +29,8 @@ class RowCounts:
         Times without speed or power.
     switches : SwitchUse
         Rows that switches exclude.
+    until : float or None
+        End [s] of the rows of the present run; None between two runs.
     """
 
     def __init__(self, valid: int = 0, gaps: Iterable[Gap] = ()) -> None:
@@ -36,15 +38,15 @@ class RowCounts:
         self.unusable: Counter[str] = Counter()
         self.gaps: deque[Gap] = deque(gaps, maxlen=MAX_GAPS)
         self.switches = SwitchUse()
-        self._counted_to: float | None = None  # [s], end of the rows without an interruption
+        self.until: float | None = None
 
     def pause(self) -> None:
         """End the run of rows, before an interruption."""
-        self._counted_to = None
+        self.until = None
 
     def silences(self, parts: Sequence[Rows | None]) -> dict[int, Gap]:
         """Times between the ``parts`` of rows that come next, by index of the part that follows."""
-        silences, last = dict[int, Gap](), self._counted_to
+        silences, last = dict[int, Gap](), self.until
         for i, rows in enumerate(parts):
             if rows is None:
                 continue
@@ -61,10 +63,10 @@ class RowCounts:
         begun = [i for i, rows in enumerate(parts) if i == 0 or rows.index[0] > parts[i - 1].index[-1] + 1]
         for i, end in pairwise([*begun, len(parts)]):
             first = float(parts[i].index[0]) * STEP
-            if self._counted_to is not None and first - self._counted_to > STEP / 2:
-                self._note(self._counted_to, first)
+            if self.until is not None and first - self.until > STEP / 2:
+                self._note(self.until, first)
             self._add_run(parts[i:end])
-            self._counted_to = float(parts[end - 1].index[-1] + 1) * STEP
+            self.until = float(parts[end - 1].index[-1] + 1) * STEP
 
     def _add_run(self, parts: Sequence[Rows]) -> None:
         """Count the usable rows of one run without a gap, and note the times of the others."""

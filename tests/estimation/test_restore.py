@@ -61,7 +61,7 @@ REBUILT = {  # what traffic or the configuration shows again
         "rows",
         "start",
     },
-    RowCounts: {"_counted_to", "switches", "unusable"},
+    RowCounts: {"until", "switches", "unusable"},
 }
 
 

@@ -124,6 +124,7 @@ class Recorder:
         self.ticks: list[Frames] = []
         self.latest: Estimate | None = None
         self.heard: float | None = None
+        self.rows_until: float | None = None
         self.road_now: RoadAhead | None = None
 
     def offer(self, frames: Frames) -> None:
@@ -155,6 +156,27 @@ def test_an_estimate_of_before_a_long_silence_or_a_step_back_is_not_broadcast(
     old, worker.latest = worker.latest, made_estimate(t=100.5 + step)
     listener.turn(101.0 + step)
     assert told == [old, None if is_stale else old, worker.latest]
+
+
+def test_an_estimate_is_not_broadcast_after_long_without_speed_and_power_though_other_frames_come() -> None:
+    worker, told = Recorder(), list[object]()
+    worker.latest, worker.heard, worker.rows_until = made_estimate(t=99.0), 100.0, 98.0
+    listener = Listener(worker, lambda t, estimate, slope: told.append(estimate))
+
+    def turn(t: float) -> None:
+        listener.hear(Frames.from_messages([can.Message(timestamp=t)]))
+        listener.turn(t)
+
+    for t in np.arange(100.0, 1100.0, 10.0):
+        turn(float(t))
+    known = [estimate is not None for estimate in told]
+    assert known == [True] * 90 + [False] * 10
+    worker.rows_until = 1099.0  # driving again, before the estimator knows of another load
+    turn(1100.0)
+    assert told[-1] is None
+    worker.latest = made_estimate(t=1100.5)
+    turn(1101.0)
+    assert told[-1] is worker.latest
 
 
 def test_daemon_and_replay_broadcast_the_same_bytes(

@@ -44,6 +44,7 @@ class Knowledge:
     """Copy of the pipeline's results at message time ``t`` [s]; counts are since the start."""
 
     t: float | None = None
+    rows_until: float | None = None  # [s], to which speed or power was read
     start: float | None = None  # message time [s] of the first frame
     estimate: Estimate | None = None
     frames: int = 0
@@ -119,6 +120,11 @@ class Worker:
     def heard(self) -> float | None:
         """Message time [s] of the newest frame that `latest` knows."""
         return self.knowledge.t
+
+    @property
+    def rows_until(self) -> float | None:
+        """Message time [s] to which `latest` knows speed or power; None before, and after an interruption."""
+        return self.knowledge.rows_until
 
     @property
     def backlog(self) -> int:
@@ -238,6 +244,7 @@ class Worker:
         pipeline = self.pipeline
         return Knowledge(
             t=self._t,
+            rows_until=pipeline.traffic.rows.until,
             start=pipeline.traffic.start,
             estimate=pipeline.latest,
             frames=pipeline.traffic.frames,
