@@ -147,6 +147,11 @@ class RowStream:
         return self._until
 
     @property
+    def is_restored(self) -> bool:
+        """True from a restore until the first frames are in order, which show whether the load is another."""
+        return self._is_restored
+
+    @property
     def used(self) -> int:
         """Frames that gave a signal."""
         return self._decoder.used

@@ -314,6 +314,17 @@ def test_a_state_from_before_the_machine_was_started_is_not_taken_for_the_same_l
 
     assert sources_after("a", "a")
     assert not sources_after("a", "b")
+    boot.write_text("a")
+    worker = Worker(Pipeline(loaded), 10**6, store, "k")
+    worker.offer(frames[now])
+    worker.close()
+    boot.write_text("b")
+    worker = Worker(restored(loaded, store, "k"), 10**6, store, "k")
+    worker.offer(frames[~now][:10])  # too few to be put in order
+    worker.close()
+    state, _ = store.load("k")
+    assert state is not None
+    assert state["boot"] == "a"
     assert not sources_after("", "")
 
 

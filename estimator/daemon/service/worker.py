@@ -190,8 +190,11 @@ class Worker:
         self._busy_since = None
 
     def save(self) -> None:
-        """Keep the state, if frames have come since and there is a place to keep it."""
-        if self._store is None or not self._fed:
+        """Keep the state, if frames have come since and there is a place to keep it.
+
+        A state from before a start of the machine stays as it is until the frames show that it is one.
+        """
+        if self._store is None or not self._fed or self.pipeline.traffic.is_restored:
             return
         progress = self.pipeline.estimator.progress
         try:
