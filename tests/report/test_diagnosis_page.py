@@ -37,7 +37,7 @@ from estimator.errors import ConfigError, RoadloadError
 from estimator.report import number_format, wording
 from estimator.report.diagnosis_page import page, terms, write_page
 from estimator.report.diagnosis_summary import of_diagnosis
-from estimator.report.page import figures
+from estimator.report.page import figures, tables
 
 DIAGNOSES = {"rich": rich, "several": several, "unknown": unknown, "empty": empty}
 FINDING_KEYS = {
@@ -463,6 +463,14 @@ def test_the_ends_of_an_interval_differ(closed: tuple[float, float, float], word
 )
 def test_a_power_has_two_digits(watts: float, words: str) -> None:
     assert wording.kilowatts(watts) == words
+
+
+def test_without_effects_the_parameters_are_those_averaged_over_hypotheses() -> None:
+    final, sd = Shift(mass=23_983.0, A=1_500.0, C=3.4), Shift(mass=81.0, A=40.0, C=0.2)
+    text = tables.parameters(changed(effects=(), final=final, deviation=sd))
+    assert "averaged over the hypotheses" in text
+    assert "23,983 ± 81" in text
+    assert text.count("<tr>") == 4
 
 
 def test_a_gap_that_is_a_small_part_of_the_residual_is_said_to_be() -> None:

@@ -44,23 +44,29 @@ def chosen(d: Diagnosis) -> str:
 
 
 def parameters(d: Diagnosis) -> str:
-    """A, C and m of the model as configured, and with the effects found."""
+    """A, C and m of the model as configured, and with the effects found; without these, averaged over hypotheses."""
     if d.base is None:
         return ""
+    base = html.escape(wording.base_name(d))
+    title = "What it does to the parameters" if d.effects else f"Parameters of the {base}"
+    if d.final is not None and not d.effects:  # least squares alone would have the sd of the noise
+        rows = [
+            [f"{name} [{unit}]", _with_sd(getattr(d.final, key), getattr(d.deviation, key, math.nan), step)]
+            for key, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True)
+        ]
+        return f"<h3>{title}</h3>" + table(("parameter", "averaged over the hypotheses"), rows, "parameters")
     rows = []
     for attribute, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True):
         before = getattr(d.base, attribute)
         row = [f"{name} [{unit}]", _with_sd(before, getattr(d.base_deviation, attribute, math.nan), step)]
-        if d.final is not None and d.effects:
+        if d.final is not None:
             after = getattr(d.final, attribute)
             relative = (after - before) / before if before > 0 else math.nan  # no share of what cannot be negative
             share = f" ({number_format.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
             sd = getattr(d.deviation, attribute, math.nan)
             row += [_with_sd(after, sd, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
-    base = html.escape(wording.base_name(d))
     headings = ("parameter", base, "with the effects", "shift")
-    title = "What it does to the parameters" if d.effects else f"Parameters of the {base}"
     return f"<h3>{title}</h3>" + table(headings[: len(rows[0])], rows, "parameters")
 
 
