@@ -34,12 +34,34 @@ SHOWN_IN_PART, SHOWN = 0.1, 0.9  # share of the reduction by a known road that i
 def named_findings(decision: Decision) -> tuple[Finding, ...]:
     """The road, the effects that are named, and the lag; each residual is with the causes before it too."""
     road = [_road_finding(decision)] if decision.is_road_named else []
-    lag = [] if decision.lag is None else [decision.lag]
     effects = [
         _effect_finding(decision, effect, [*(ROAD for _ in road), *(other.name for other in decision.named[:i])])
         for i, effect in enumerate(decision.named)
     ]
-    return (*road, *effects, *lag)
+    found, lag = (*road, *effects), decision.lag
+    return found if lag is None else of_aligned_power(found, lag, decision.budget.floor)
+
+
+def of_aligned_power(found: Sequence[Finding], lag: Finding, floor: float) -> tuple[Finding, ...]:
+    """Findings of ``found`` causes on aligned power, then that of the ``lag``, with their shares of the whole gap.
+
+    The gap is the square of the residual above the noise ``floor`` [W]: the lag closes what the alignment takes, and
+    the causes found closed shares of the rest.
+    """
+    aligned = lag.rms_before**2 - lag.rms_after**2
+    rest = max(lag.rms_after**2 - floor**2, 0.0) if found else 0.0
+    by_lag = aligned / (aligned + rest) if aligned > 0 else 1.0
+    return (*(_scaled(finding, 1 - by_lag) for finding in found), _scaled(lag, by_lag))
+
+
+def _scaled(finding: Finding, factor: float) -> Finding:
+    """The finding with ``factor`` times its share of the gap."""
+    closed = finding.gap_closed
+    if closed is None:
+        return finding
+    return replace(
+        finding, gap_closed=GapClosed(*(factor * share for share in (closed.fraction, closed.q05, closed.q95)))
+    )
 
 
 def candidate_findings(decision: Decision, named: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnoses import finding
 from driven_on_level_road import THETA, driven
 from scipy.stats import false_discovery_control
 
 from estimator.components.plain_model import PlainModel
 from estimator.diagnosis import localisation
+from estimator.diagnosis.findings import of_aligned_power
 from estimator.diagnosis.residual_formula import best_residual_formula
-from estimator.diagnosis.result import Traces
+from estimator.diagnosis.result import GapClosed, Traces
 from estimator.diagnosis.surrogates import phase_randomised
 from estimator.estimation.long_run import long_run_variance
 from estimator.false_discovery import false_discovery_rates
@@ -83,6 +85,21 @@ def test_a_plain_model_of_a_steady_drive_is_not_determined() -> None:
     )
     assert PlainModel(fit).is_determined
     assert not PlainModel(replace(fit, strides=steady)).is_determined
+
+
+# Shares of the gap
+
+
+@pytest.mark.parametrize(("others", "by_lag"), [((1.0,), 0.8), ((0.5, 0.5), 0.8), ((), 1.0)])
+def test_a_lag_and_the_effects_beside_it_share_the_gap_by_what_they_take(others: tuple[float, ...], by_lag: float):
+    lag = replace(finding("time_lag", 1.0), rms_before=5e3, rms_after=np.sqrt(5.8e6))
+    lag = replace(lag, gap_closed=GapClosed(1.0, 0.9, 1.0))
+    found = [finding("drafting", 0.99, gap_closed=GapClosed(share, 0.9 * share, share)) for share in others]
+    *beside, last = of_aligned_power(found, lag, 1e3)  # from 25 to 5.8 MW^2 by the lag, then to 1 MW^2
+    assert last.gap_closed.fraction == pytest.approx(by_lag)
+    assert last.gap_closed.q05 == pytest.approx(0.9 * by_lag)
+    assert [f.gap_closed.fraction for f in beside] == pytest.approx([0.2 * share for share in others])
+    assert sum(f.gap_closed.fraction for f in (*beside, last)) == pytest.approx(1.0)
 
 
 # Places
