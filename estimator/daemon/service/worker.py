@@ -192,7 +192,7 @@ class Worker:
     def save(self) -> None:
         """Keep the state, if frames have come since and there is a place to keep it.
 
-        A state from before a start of the machine stays as it is until the frames show that it is one.
+        A restored state stays as it is until the frames show whether its load is another.
         """
         if self._store is None or not self._fed or self.pipeline.traffic.is_restored:
             return
