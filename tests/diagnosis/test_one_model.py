@@ -124,7 +124,7 @@ def test_the_page_of_a_drive_whose_hills_are_given_is_of_the_model_with_them(sho
     document = page(d)
     assert "plain model" not in document
     assert "Parameters of the model with grade" in document
-    assert f"{d.base.mass:,.0f}" in document
+    assert f"{d.final.mass:,.0f}" in document
     bars = re.search(r'<ul class="bars".*?</ul>', document).group()
     road = d.budget.part("road")
     rows = [("model with grade", d.rms_base), ("if its road were exact", road.expected), ("noise floor", d.noise_floor)]
