@@ -62,7 +62,7 @@ class _Round:
 
 
 class _OutOfReachError(Exception):
-    """Raised if the search is not expected to reach the required log posterior; ``states`` are those it had come to."""
+    """Raised if the search is not expected to reach the required log posterior; it may go on from ``states``."""
 
     def __init__(self, states: tuple[DriveState, ...]) -> None:
         super().__init__()
@@ -233,7 +233,7 @@ class Search:
         while gain >= MIN_ROUND_GAIN:
             latest = self._round(states, with_processes, with_stretches, left_out)
             if latest.expected_log_posterior(log_evidence(self._drives)) < min_log_posterior:
-                raise _OutOfReachError(latest.states)
+                raise _OutOfReachError(start if self._impossible(latest.states) else latest.states)
             if states is start and not left_out:  # a start with an effect that is left out is no measure
                 highest = latest.start_log_posterior
             value = latest.log_posterior

@@ -154,6 +154,13 @@ def test_a_search_that_was_cut_off_goes_on_where_it_stopped(monkeypatch):
     assert [drive.hypothesis for drive in started] == [(), (1,), (1, 2)]
 
 
+def test_a_search_that_was_cut_off_with_an_impossible_set_starts_again(monkeypatch):
+    started = list[Any]()
+    script = [((IMPOSSIBLE,), 10.0), ((1, 2), 20.0), ((1, 2), 20.2)]
+    assert rounds(monkeypatch, script, started, above=1000.0) == 20.2
+    assert [drive.hypothesis for drive in started] == [(), (), (1, 2)]
+
+
 def test_hypotheses_have_up_to_one_term_more_than_act_two_at_first(monkeypatch):
     sizes = list[int]()
     rounds_of = [((1, 2), 30.0), ((1, 2, 3), 40.0), ((1, 2, 3, 4, 5), 50.0), ((1, 2, 3, 4, 5), 50.2)]
