@@ -16,6 +16,7 @@ from estimator.estimation.road_fit import RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
 from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
 from estimator.estimation.scales import RoadScales
+from estimator.estimation.shapes import with_nearer_shapes
 from estimator.model.conditioned import Conditioned
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import AtRest, Effect, Timing
@@ -106,6 +107,18 @@ class DriveState:
         effect_terms += [effect_term for process in further for effect_term in as_effect_terms(frame, process)]
         fitted = refit(self.fit, self.strides, effect_terms, self.rests)
         return replace(self, fit=fitted, chosen=chosen, stretches=stretches)
+
+    def with_nearer_shapes(self, given: int) -> "DriveState":
+        """Copy whose chosen effects have the shapes near theirs with most evidence; the first ``given`` keep theirs."""
+        fitted = with_nearer_shapes(
+            self.strides, self.fit, lambda found, terms: refit(found, self.strides, terms, self.rests), given
+        )
+        frame = Frame.of(fitted)
+        chosen = tuple(
+            term_of(frame, replace(old.effect_term, shape=new.shape), old.cost) if old.effect_term else old
+            for old, new in zip(self.chosen, fitted.terms, strict=False)
+        )
+        return replace(self, fit=fitted, chosen=chosen)
 
     def bare(self) -> "DriveState":
         """Copy without the model and the likelihood, which a drive keeps once they are asked for."""

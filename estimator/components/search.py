@@ -117,9 +117,10 @@ class Search:
 
     def _result(self, last_round: _Round) -> SearchResult:
         ranking = ranked([drive.bare() for drive in self._drives], self._effects)
-        return search_result(
-            last_round.space, last_round.table, last_round.chosen, last_round.states, ranking, self._effects
+        states = tuple(
+            state.with_nearer_shapes(len(given)) for state, given in zip(last_round.states, self._given, strict=True)
         )
+        return search_result(last_round.space, last_round.table, last_round.chosen, states, ranking, self._effects)
 
     def _with_effects_only(self, min_log_posterior: float = -np.inf) -> tuple[DriveState, ...]:
         """Drives fitted with effects only. Tables are not kept, because they take megabytes.

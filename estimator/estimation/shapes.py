@@ -13,7 +13,7 @@ beta_i the coefficients with each,
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,16 +33,25 @@ MAX_ROUNDS = 10  # of shapes at the same scales: each takes the magnitudes of th
 MIN_GAIN = 0.1  # of log evidence, for another shape
 AT_ONCE = 32  # shapes judged with common products: none needs the products with the others
 FitBeside = Callable[[tuple[EffectTerm, ...], RoadScales | None], RoadFit | None]  # of terms, with scales to start from
+Refit = Callable[[RoadFit, tuple[EffectTerm, ...]], RoadFit | None]  # of a fit with other terms
 
 
 def fitted_with_shapes(strides: Strides, terms: tuple[EffectTerm, ...], fitted: FitBeside) -> RoadFit | None:
     """The fit of ``strides`` beside ``terms`` with shapes near theirs that add evidence; None where there is no fit."""
     found = fitted(terms, None)
-    for _ in range(MAX_FITS if any(is_free(term) for term in terms) else 0):
-        if found is None:
-            return None
-        terms = nearer_shapes(strides, found)
-        again = None if terms == found.terms else fitted(terms, found.scales)
+    if found is None:
+        return None
+    return with_nearer_shapes(strides, found, lambda found, terms: fitted(terms, found.scales))
+
+
+def with_nearer_shapes(strides: Strides, found: RoadFit, fitted: Refit, given: int = 0) -> RoadFit:
+    """The fit ``found``, or one that is ``fitted`` from it with shapes near those of its terms that add evidence.
+
+    The first ``given`` terms keep their shapes.
+    """
+    for _ in range(MAX_FITS if any(is_free(term) for term in found.terms[given:]) else 0):
+        terms = (*found.terms[:given], *nearer_shapes(strides, found)[given:])
+        again = None if terms == found.terms else fitted(found, terms)
         if again is None or again.log_evidence < found.log_evidence + MIN_GAIN:
             break
         found = again
@@ -80,7 +89,7 @@ def near(term: EffectTerm, size: float) -> list[EffectTerm]:
 def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[EffectTerm]]) -> tuple[EffectTerm, ...]:
     """Term of each effect, among its ``shapes``, that adds most to the evidence of a fit; its sign is checked."""
     likelihood = ShapeLikelihood(strides, found)
-    return tuple(each[int(np.argmax(likelihood.judged((), each)[0]))] for each in shapes if each)
+    return tuple(each[int(np.argmax(likelihood.judged((), each).gains))] for each in shapes if each)
 
 
 def nearer_shapes(strides: Strides, found: RoadFit) -> tuple[EffectTerm, ...]:
@@ -92,10 +101,11 @@ def nearer_shapes(strides: Strides, found: RoadFit) -> tuple[EffectTerm, ...]:
             if not is_free(term):
                 continue
             each = near(term, sizes[i])
-            gains, coefficients = likelihood.judged((*terms[:i], *terms[i + 1 :]), each)
+            judged = likelihood.judged((*terms[:i], *terms[i + 1 :]), each)
+            gains = judged.exact_gains
             best = int(np.argmax(gains))
             if gains[best] > gains[0] + MIN_GAIN:
-                terms[i], sizes[i] = each[best], float(-coefficients[best, -1] / coefficients[best, 0])
+                terms[i], sizes[i] = each[best], float(judged.magnitudes[best])
         if terms == before:
             break
     return tuple(terms)
@@ -112,15 +122,43 @@ def averaged(strides: Strides, found: RoadFit) -> RoadFit:
             continue
         grid = (replace(term, shape=shape) for shape in term.effect.shapes if not isinstance(shape, Quantity))
         shapes = list(dict.fromkeys((*near(term, sizes[i]), *grid)))
-        gains, coefficients = likelihood.judged((*found.terms[:i], *found.terms[i + 1 :]), shapes)
-        weights = np.exp(gains - gains.max())
+        judged = likelihood.judged((*found.terms[:i], *found.terms[i + 1 :]), shapes)
+        weights = np.exp(judged.exact_gains - judged.exact_gains.max())
         weights /= weights.sum()
-        coefficients = np.insert(coefficients[:, :-1], len(beta) - effects + i, coefficients[:, -1], axis=1)
+        others, own = judged.coefficients[:, :-1], judged.coefficients[:, -1]
+        coefficients = np.insert(others, len(beta) - effects + i, own, axis=1)
         shifts = coefficients - coefficients[0]  # of these: the fit itself is corrected for noise
         shift, spread = between(weights, shifts)
         beta += shift
         covariance += spread
     return replace(found, beta=beta, covariance=covariance)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Terms with different ``shapes`` (k,), each alone beside other terms.
+
+    ``gains`` (k,) in log evidence; ``coefficients`` (k, p), the last one that of the shape; its ``precision`` (k,).
+    """
+
+    shapes: tuple[EffectTerm, ...]
+    gains: Floats
+    coefficients: Floats
+    precision: Floats
+
+    @property
+    def magnitudes(self) -> Floats:
+        """Magnitude (k,) of the effect with each shape."""
+        return -self.coefficients[:, -1] / self.coefficients[:, 0]
+
+    @property
+    def exact_gains(self) -> Floats:
+        """Gains (k,) with the magnitude at which a shape is exact."""
+        exact = self.shapes[0].effect.exact_at
+        if exact is None:
+            return self.gains
+        off = self.magnitudes - [exact(term.shape) for term in self.shapes]
+        return self.gains - 0.5 * self.precision * (off * self.coefficients[:, 0]) ** 2
 
 
 class ShapeLikelihood:
@@ -131,16 +169,13 @@ class ShapeLikelihood:
         self._model = found.scales.model_of(strides)
         self._conditioned = Conditioned.of(self._model, found.scales.values)
 
-    def judged(self, beside: tuple[EffectTerm, ...], shapes: Sequence[EffectTerm]) -> tuple[Floats, Floats]:
-        """Gain (k,) in log evidence of each of ``shapes`` (k,) alone ``beside`` other terms, and coefficients (k, p).
-
-        The last coefficient is that of the shape.
-        """
+    def judged(self, beside: tuple[EffectTerm, ...], shapes: Sequence[EffectTerm]) -> Judged:
+        """Each of ``shapes`` (k,) alone ``beside`` other terms."""
         batches = (shapes[start : start + AT_ONCE] for start in range(0, len(shapes), AT_ONCE))
-        gains, coefficients = zip(*(self._judged(beside, batch) for batch in batches), strict=True)
-        return np.concatenate(gains), np.concatenate(coefficients)
+        parts = zip(*(self._judged(beside, batch) for batch in batches), strict=True)
+        return Judged(tuple(shapes), *map(np.concatenate, parts))
 
-    def _judged(self, beside: tuple[EffectTerm, ...], shapes: Sequence[EffectTerm]) -> tuple[Floats, Floats]:
+    def _judged(self, beside: tuple[EffectTerm, ...], shapes: Sequence[EffectTerm]) -> tuple[Floats, Floats, Floats]:
         found, terms = self._found, (*beside, *shapes)
         likelihood = Likelihood(self._model, terms, found.road_load, found.scales.lag, found.departures, found.taken)
         gram = self._conditioned.gram(likelihood.data)
@@ -156,4 +191,5 @@ class ShapeLikelihood:
         own = score / strength
         gain = log_bayes_factor(np.where(wrong, 0.0, own), strength**-0.5, believed**-0.5)
         others = (weights[:, -1:] - weights[:, :-1] * own) / likelihood.unit[:base, None]
-        return gain, np.column_stack([others.T, own / likelihood.unit[base:]])
+        unit = likelihood.unit[base:]
+        return gain, np.column_stack([others.T, own / unit]), strength * unit**2

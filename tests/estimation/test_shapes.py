@@ -85,20 +85,38 @@ def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
     strides = driven(400, 40.0, EffectTerm(OIL, (500.0, 0.0)))
     found = fit(strides, (WINDS[0],))
     assert found is not None
-    gains, coefficients = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
+    judged = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
     without, _ = evidence(strides, found, (WINDS[0],))
     each = [evidence(strides, found, (WINDS[0], term)) for term in COLD]
-    assert_allclose(gains, [log - without for log, _ in each], atol=1e-6)
-    assert_allclose(coefficients, [solved for _, solved in each], rtol=1e-6, atol=1e-12)
+    assert_allclose(judged.gains, [log - without for log, _ in each], atol=1e-6)
+    assert_allclose(judged.exact_gains, judged.gains)  # the column of each is exact at any magnitude
+    assert_allclose(judged.coefficients, [solved for _, solved in each], rtol=1e-6, atol=1e-12)
+
+
+def test_a_wind_of_another_speed_than_that_of_its_column_gains_less():
+    """One standard deviation of the magnitude away from the speed at which the column is exact costs one half."""
+    strides = driven(400, 6.0, EffectTerm(WIND, (0.35, 0.07, 0.24, 6.0)))
+    found = fit(strides)
+    assert found is not None
+    likelihood = ShapeLikelihood(strides, found)
+    (size,) = likelihood.judged((), [EffectTerm(WIND, (0.35, 0.07, 0.24, 6.0))]).magnitudes
+    for _ in range(20):
+        (size,) = likelihood.judged((), [EffectTerm(WIND, (0.35, 0.07, 0.24, size))]).magnitudes
+    judged = likelihood.judged((), [EffectTerm(WIND, (0.35, 0.07, 0.24, speed)) for speed in (size, 1.2 * size)])
+    assert judged.exact_gains[0] == pytest.approx(judged.gains[0], abs=1e-6)
+    sd = 1 / (judged.coefficients[1, 0] * np.sqrt(judged.precision[1]))
+    away = (1.2 * size - judged.magnitudes[1]) / sd
+    assert judged.gains[1] - judged.exact_gains[1] == pytest.approx(0.5 * away**2)
+    assert away > 1
 
 
 def test_a_shape_with_the_wrong_sign_adds_nothing():
     strides = driven(400, -40.0, EffectTerm(OIL, (500.0, 0.0)))
     found = fit(strides)
     assert found is not None
-    gains, coefficients = ShapeLikelihood(strides, found).judged((), COLD)
-    assert (coefficients[:, -1] > 0).all()  # -b / m
-    assert (gains < 0).all()
+    judged = ShapeLikelihood(strides, found).judged((), COLD)
+    assert (judged.magnitudes < 0).all()
+    assert (judged.gains < 0).all()
 
 
 @pytest.mark.slow
@@ -115,7 +133,7 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "size", "start"),
-    [(EffectTerm(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (EffectTerm(OIL, (700.0, 2.0)), 50.0, COLD[:1])],
+    [(EffectTerm(WIND, (0.35, 0.07, 0.24, 9.0)), 9.0, WINDS), (EffectTerm(OIL, (700.0, 2.0)), 50.0, COLD[:1])],
     ids=["wind", "oil"],
 )
 def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, size, start):
@@ -126,9 +144,10 @@ def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, si
     assert isinstance(found, RoadFit)
     (term,), sd = found.terms, np.sqrt(np.diag(found.theta_covariance()))
     if truth.effect is WIND:
-        direction, yawed, speed = term.shape
+        direction, yawed, largest, speed = term.shape
         assert direction == pytest.approx(0.35, abs=0.01)
         assert yawed == pytest.approx(0.07, abs=0.02)
+        assert largest == pytest.approx(0.24, abs=0.03)
         assert speed == pytest.approx(found.theta[LAG + 1], rel=0.01)  # the column is that of the wind found
     else:
         assert_allclose(OIL.power(at(), term.shape), OIL.power(at(), truth.shape), atol=0.05)

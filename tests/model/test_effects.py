@@ -194,10 +194,10 @@ def test_powers_are_those_of_the_equations():
     v, C = seen.v, ROAD_LOAD[1]
     ahead = with_context(Quantity.HEADING, 0.0)
     for wind in (5.0, 9.0):
-        shape = 0.0, 0.1, wind
+        shape = 0.0, 0.1, 0.25, wind
         np.testing.assert_allclose(wind * BY_NAME["headwind"].power(ahead, shape), C * ((v + wind) ** 2 - v**2) * v)
         aside = with_context(Quantity.HEADING, np.pi / 2)
-        yaw = np.minimum(np.degrees(np.arctan2(wind, v)), np.degrees(0.3))
+        yaw = np.minimum(np.degrees(np.arctan2(wind, v)), np.degrees(0.25))
         oblique = C * ((1 + 0.1 * (yaw / 10) ** 2) * np.hypot(v, wind) * v - v**2) * v
         np.testing.assert_allclose(wind * BY_NAME["headwind"].power(aside, shape), oblique, rtol=1e-9)
     climb = v * 0.02

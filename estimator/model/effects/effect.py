@@ -126,6 +126,8 @@ class Effect:
         Values to try of the parameter that it is non-linear in. A `Quantity` is one of several sources of its input.
     finer_shapes
         Shapes of a finer grid around one of ``shapes``, given the magnitude fitted with it.
+    exact_at
+        Magnitude at which the power of a shape is exact; None: its power is exact at any.
     shape_key
         Key of a shape; shapes with equal keys count as one in the search.
     describe
@@ -168,6 +170,7 @@ class Effect:
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
     finer_shapes: Callable[[Shape, float], tuple[Shape, ...]] | None = None
+    exact_at: Callable[[Shape], float] | None = None
     shape_key: Callable[[Shape], object] = lambda shape: shape
     describe: Callable[[Shape], str] | None = None
     timing: Timing = Timing.ALWAYS
