@@ -81,7 +81,8 @@ class Road:
 
     ``slope_sd`` standard deviation of the slope along it [1], ``length`` over which it changes [m], ``shown_by`` the
     signals that show it, none for a hidden road; ``climbed`` height gained on the way up [m], None where no signal
-    shows it. ``contradicted``: signals that were left out, because the force and the others show another road.
+    shows it. ``contradicted``: signals that were left out: they never change, or the force and the others show another
+    road.
     """
 
     slope_sd: float
@@ -92,8 +93,9 @@ class Road:
 
 
 def left_out(signals: Sequence[str]) -> str:
-    """Clause that says which ``signals`` of the road the others contradict; empty where none is."""
-    return f"; {' and '.join(signals)} left out: the force and the other signals contradict it" if signals else ""
+    """Clause that says which ``signals`` of the road are not used; empty where all are."""
+    reason = "without a change, or contradicted by the force and the other signals"
+    return f"; {' and '.join(signals)} left out: {reason}" if signals else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -231,9 +231,18 @@ def test_an_altitude_that_the_force_and_a_grade_contradict_is_left_out(drive):
     assert found.road.contradicted == ("altitude",)
     assert found.mass == alone.mass
     assert away(found) < 0.01
-    assert "shown by grade; altitude left out: the force and the other signals contradict it" in road(
-        summary.road(found)
-    )
+    left_out = "altitude left out: without a change, or contradicted by the force and the other signals"
+    assert f"shown by grade; {left_out}" in road(summary.road(found))
+
+
+@pytest.mark.parametrize("role", [Role.ALTITUDE, Role.GRADE])
+def test_a_signal_that_never_changes_does_not_make_the_hills_level(drive, role):
+    constant = replace(drive.signals[role], value=np.zeros_like(drive.signals[role].value))
+    signals = without(drive.signals, CLIMB)
+    found, hidden = concluded(signals | {role: constant}, signals=WITH_GRADE), concluded(signals, signals=WITH_GRADE)
+    assert found.road.shown_by == ()
+    assert found.road.contradicted == (role.value,)
+    assert (found.mass, found.A, found.C) == (hidden.mass, hidden.A, hidden.C)
 
 
 def test_by_the_force_alone_no_signal_is_left_out(drive):
