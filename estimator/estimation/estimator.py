@@ -6,6 +6,7 @@ estimates.
 
 from collections import Counter
 from collections.abc import Iterator
+from math import inf
 from typing import Any
 
 import msgspec
@@ -19,7 +20,7 @@ from estimator.estimation.evidence import Evidence
 from estimator.estimation.gate import has_news
 from estimator.estimation.paper_inference import PaperInference
 from estimator.estimation.road_inference import RoadInference
-from estimator.estimation.road_now import RoadAhead, RoadNow
+from estimator.estimation.road_now import MAX_AGE, RoadAhead, RoadNow
 from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.window import Window
 from estimator.preparation.admission import Reason
@@ -63,6 +64,20 @@ class Estimator:
     def latest(self) -> Estimate | None:
         """The newest estimate; None before the first, and between `restore` and `resume`."""
         return None if self._resting else self._latest
+
+    @property
+    def load_until(self) -> float:
+        """Time [s] from which on the load may be another than that of `latest`, by the newest row.
+
+        A stop has then lasted `load.stop_s`, or a departure from one waits for its block of rows. In motion, the next
+        rows may be MAX_AGE late.
+        """
+        if self._stage.departures:
+            return self._stage.departures[0] * STEP
+        if self._next is None:
+            return inf
+        standing, stop = self._stage.standstill.rows, self._config.load.stop_s
+        return (self._next - standing) * STEP + (stop if standing else max(stop, MAX_AGE))
 
     @property
     def road_now(self) -> RoadAhead | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator.checkpoint.validation import Count, State, optional, read, substate
 from estimator.config import Config
+from estimator.errors import StateError
 from estimator.model.effect_term import wanted_by
 from estimator.model.effects import Effect, named, unbound
 from estimator.preparation.context import quantities_of
@@ -58,6 +59,10 @@ class StrideStage:
         Rows in motion.
     wanted : frozenset or None
         Context of the strides, None before it is known.
+    standstill : Standstill
+        The present stop, by the newest row.
+    departures : list[int]
+        Indices of rows that wait for their piece, and with which a load segment begins.
     """
 
     def __init__(self, config: Config) -> None:
@@ -70,7 +75,8 @@ class StrideStage:
         self._pending: Rows | None = None  # not yet strided
         self._strider: Strider | None = None
         self._newest: float | None = None
-        self._standstill = Standstill(config.load, config.admission.minimum_speed_m_s)
+        self.standstill = Standstill(config.load, config.admission.minimum_speed_m_s)
+        self.departures: list[int] = []
 
     @property
     def waiting(self) -> float | None:
@@ -80,6 +86,8 @@ class StrideStage:
     def feed(self, rows: Rows) -> Iterator[Piece]:
         """Take the next rows, which follow the previous ones without a gap."""
         self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
+        begun = (int(rows.index[i]) for i in self.standstill.departures(rows.speed))
+        self.departures = [*self.departures, *begun]
         self._newest = float(rows.t[-1])
         moving = int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
         self.moving, self._heard = self.moving + moving, self._heard + moving
@@ -105,10 +113,11 @@ class StrideStage:
 
     def pause(self, rows: int) -> None:
         """Count ``rows`` missing rows of the grid, in a silence of the bus, as standing."""
-        self._standstill.pause(rows)
+        self.standstill.pause(rows)
 
     def forget(self) -> None:
         """Start a new drive."""
+        self.departures = []
         self._pending, self._strider, self.wanted, self._newest, self._heard = None, None, None, None, 0
 
     def _begin(self) -> None:
@@ -118,9 +127,11 @@ class StrideStage:
             self._strider = Strider(self._config.admission, self.wanted, float(self._pending.t[0]))
 
     def _stride(self, rows: Rows) -> Iterator[Piece]:
-        """Yield pieces of strides, cut at a departure, after which the load may differ."""
+        """Yield pieces of strides, cut at the last departure, after which the load may differ."""
         assert self._strider is not None
-        departure = self._standstill.departure(rows.speed)
+        passed = [index for index in self.departures if index <= rows.index[-1]]
+        departure = passed[-1] - int(rows.index[0]) if passed else None
+        self.departures = self.departures[len(passed) :]
         if departure is not None:
             if departure:
                 yield Piece(rows[:departure], self._strider.feed(rows[:departure], self.rejected), False)
@@ -144,7 +155,8 @@ class StrideStage:
             "newest": self._newest,
             "moving": self.moving,
             "heard": self._heard,
-            "standstill": self._standstill.state(),
+            "standstill": self.standstill.state(),
+            "departures": self.departures,
         }
 
     def restore(self, state: State) -> None:
@@ -162,4 +174,8 @@ class StrideStage:
         self.wanted = None if self._strider is None else self._strider.wanted
         self._newest, self.moving = read(state, "newest", float | None), read(state, "moving", Count)
         self._heard = read(state, "heard", Count)
-        self._standstill.restore(substate(state, "standstill"))
+        self.standstill.restore(substate(state, "standstill"))
+        self.departures = read(state, "departures", list[int])
+        waiting = () if self._pending is None else self._pending.index.tolist()
+        if [index for index in waiting if index in self.departures] != self.departures:
+            raise StateError("departures: are not of rows that wait")

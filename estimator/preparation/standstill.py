@@ -16,29 +16,29 @@ class Standstill:
     def __init__(self, load: Load, standing_speed: float) -> None:
         self._long = round(load.stop_s / STEP)
         self._speed = standing_speed
-        self._standing = 0  # rows in a row
+        self.rows = 0  # that the present stop has lasted; 0 in motion
 
-    def departure(self, speed: Floats) -> int | None:
-        """Index of the last departure in the next rows, with speeds (n,) [m/s], after a stop of at least `Load.stop_s`.
+    def departures(self, speed: Floats) -> list[int]:
+        """Indices of the departures in the next rows, with speeds (n,) [m/s], after stops of at least `Load.stop_s`.
 
-        None if there is no such departure. A row without a speed ends no stop: in most of them the ignition is off.
+        A row without a speed ends no stop: in most of them the ignition is off.
         """
         moving = np.flatnonzero(speed >= self._speed)
         if not len(moving):
-            self._standing += len(speed)
-            return None
-        rests = np.diff(np.concatenate([[-1 - self._standing], moving])) - 1
-        self._standing = len(speed) - 1 - int(moving[-1])
-        long = np.flatnonzero(rests >= self._long)
-        return int(moving[long[-1]]) if len(long) else None
+            self.rows += len(speed)
+            return []
+        rests = np.diff(np.concatenate([[-1 - self.rows], moving])) - 1
+        self.rows = len(speed) - 1 - int(moving[-1])
+        found: list[int] = moving[rests >= self._long].tolist()
+        return found
 
     def pause(self, rows: int) -> None:
         """Count a silence of the bus as standing: the load may change in it."""
-        self._standing += rows
+        self.rows += rows
 
     def state(self) -> dict[str, Any]:
         """State for `restore`."""
-        return {"standing": self._standing}
+        return {"standing": self.rows}
 
     def restore(self, state: State) -> None:
         """Take the state of another instance.
@@ -48,4 +48,4 @@ class Standstill:
         StateError
             The state is not that of a standstill.
         """
-        self._standing = read(state, "standing", Count)
+        self.rows = read(state, "standing", Count)

@@ -43,6 +43,10 @@ class Worker(Protocol):
         """Message time [s] to which speed or power was read; None before the first, and after an interruption."""
 
     @property
+    def load_until(self) -> float:
+        """Message time [s] from which on the load may be another than that of `latest`."""
+
+    @property
     def road_now(self) -> RoadAhead | None:
         """The road under the vehicle; None while it is not known."""
 
@@ -74,6 +78,11 @@ class InlineWorker:
     def rows_until(self) -> float | None:
         """Message time [s] to which speed or power was read; None before the first, and after an interruption."""
         return self.pipeline.traffic.rows.until
+
+    @property
+    def load_until(self) -> float:
+        """Message time [s] from which on the load may be another than that of `latest`."""
+        return self.pipeline.load_until
 
     @property
     def road_now(self) -> RoadAhead | None:
@@ -154,21 +163,23 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
     def fresh(self, t: float) -> Estimate | None:
         """The newest estimate at message time ``t`` [s]; None where the load may have changed since it.
 
-        The load may change in a silence above MIN_NEW_DRIVE_SILENCE, also where other frames go on coming. A step back
-        in time means another recording, perhaps of another vehicle. The worker notices both later than this loop.
+        The load may change in a stop of `load.stop_s`, and in a silence above MIN_NEW_DRIVE_SILENCE, also where other
+        frames go on coming. A step back in time means another recording, perhaps of another vehicle. The worker
+        notices all three later than this loop.
         """
-        estimate, rows_until = self.latest, self._worker.rows_until
+        # In this order: in another thread, the worker may conclude between the two.
+        load_until, rows_until, estimate = self._worker.load_until, self._worker.rows_until, self.latest
         is_silent = self._newest is not None and t - self._newest > MIN_NEW_DRIVE_SILENCE
         if rows_until is not None and t - rows_until > MIN_NEW_DRIVE_SILENCE:
             self._woken = t
-        if estimate is None or is_silent or not self._woken <= estimate.t <= t + MAX_DELAY:
+        if estimate is None or is_silent or t >= load_until or not self._woken <= estimate.t <= t + MAX_DELAY:
             return None
         return estimate
 
     def slope(self, t: float) -> Slope | None:
         """Slope of the road under the vehicle at message time ``t`` [s]; None if unknown."""
-        road = self._worker.road_now
-        return None if road is None or road.t < self._woken else road.at(t)
+        load_until, road = self._worker.load_until, self._worker.road_now
+        return None if road is None or t >= load_until or road.t < self._woken else road.at(t)
 
     def turn(self, t: float) -> None:
         """Broadcast what is due at message time ``t`` [s]."""

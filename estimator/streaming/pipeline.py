@@ -53,6 +53,11 @@ class Pipeline:
         return None if latest is None else self._withheld(latest)
 
     @property
+    def load_until(self) -> float:
+        """Message time [s] from which on the load may be another than that of `latest`."""
+        return self.estimator.load_until
+
+    @property
     def road_now(self) -> RoadAhead | None:
         """Road under the vehicle; None without a fit, or while an input is contested."""
         return None if self.traffic.contested else self.estimator.road_now

@@ -33,7 +33,8 @@ def said(messages: list[can.Message], group: str) -> list[dict[str, object]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("leaves_frames", [False, True])
 @pytest.mark.parametrize(
-    ("asleep", "status"), [(10.0, "estimated"), (600.0, "estimated"), (7200.0, "stale"), (3 * 86400.0, "stale")]
+    ("asleep", "status"),
+    [(10.0, "estimated"), (250.0, "estimated"), (600.0, "unestimated"), (7200.0, "stale"), (3 * 86400.0, "stale")],
 )
 def test_the_broadcast_after_waking_up_is_valid_or_not_available(
     asleep: float, status: str, leaves_frames: bool
@@ -42,7 +43,7 @@ def test_the_broadcast_after_waking_up_is_valid_or_not_available(
     bench.turn()
     bench.traffic(3.0)
     concluded = EPOCH + bench.now
-    bench.worker.knowledge = Knowledge(t=concluded, estimate=made_estimate(concluded))
+    bench.worker.knowledge = Knowledge(t=concluded, load_until=concluded + 300.0, estimate=made_estimate(concluded))
     turn(bench, 20.0)
     assert said(bench.bus.sent, "RoadloadMass")[-1]["MassMean"] == MARGINAL.mean
     if leaves_frames:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_estimates import made_estimate
 
 from estimator.config import Config, from_dict
 from estimator.estimates import Estimate, Status
@@ -179,6 +180,29 @@ def test_updates_come_at_the_interval_and_only_with_news():
     assert np.all(np.diff(times[times < 600]) > 19)
     assert len(times[times < 600]) >= 12
     assert not np.any(times > 660)
+
+
+@pytest.mark.parametrize("block", [100, 200, 1000])
+@pytest.mark.parametrize("piece", [7, 50, 400])
+def test_the_load_is_the_same_until_a_stop_is_long_whatever_the_blocks(block, piece, monkeypatch):
+    monkeypatch.setattr(stage, "BLOCK_ROWS", block)
+    speed = np.concatenate([np.full(300, 9.0), np.zeros(3200), np.full(150, 9.0)])
+    rows = replace(
+        drive(len(speed)), speed=speed, power=np.zeros(len(speed)), context={Role.BRAKE_SWITCH: np.zeros(len(speed))}
+    )
+    estimator = new()
+    estimator._latest = made_estimate()
+    for i in range(0, len(rows), piece):
+        list(estimator.feed(rows[i : i + piece]))
+        now = estimator._next * STEP
+        assert (estimator.latest is not None and now < estimator.load_until) == (now < 30 + 300)
+
+
+@pytest.mark.parametrize(("last", "until"), [(9.0, 300.0), (0.0, 299.9), (np.nan, 299.9)])
+def test_without_rows_the_load_is_the_same_for_as_long_as_in_a_stop(last, until):
+    estimator, rows = new(), drive(100)
+    list(estimator.feed(replace(rows, speed=np.append(np.full(99, 9.0), last))))
+    assert estimator.load_until - estimator._next * STEP == pytest.approx(until)
 
 
 @pytest.mark.slow

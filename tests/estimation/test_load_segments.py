@@ -29,25 +29,24 @@ def test_departures_are_found_however_the_rows_are_cut(runs, random):
     watch = Standstill(Load(stop_s=5.0), 1.0)
     found, at = 0, 0
     while at < len(speed):
-        # One row at a time tells every departure apart.
-        size = 1 if expected > 1 else random.randint(1, 30)
-        found += watch.departure(speed[at : at + size]) is not None
+        size = random.randint(1, 30)
+        found += len(watch.departures(speed[at : at + size]))
         at += size
     assert found == expected
 
 
 def test_unknown_speed_ends_no_stop():
     watch = Standstill(Load(stop_s=5.0), 1.0)
-    assert watch.departure(np.full(30, 0.0)) is None
-    assert watch.departure(np.full(30, np.nan)) is None
-    assert watch.departure(np.array([0.0, 3.0])) is not None
+    assert watch.departures(np.full(30, 0.0)) == []
+    assert watch.departures(np.full(30, np.nan)) == []
+    assert watch.departures(np.array([0.0, 3.0])) == [1]
 
 
 def test_a_silence_counts_as_standing():
     watch = Standstill(Load(stop_s=5.0), 1.0)
-    assert watch.departure(np.full(10, 9.0)) is None
+    assert watch.departures(np.full(10, 9.0)) == []
     watch.pause(60)
-    assert watch.departure(np.full(10, 9.0)) is not None
+    assert watch.departures(np.full(10, 9.0)) == [0]
 
 
 def segment(m: float, sd: float) -> Segment:

@@ -1,5 +1,6 @@
 """The one loop: under a `can.Notifier`, in a replay and in the daemon."""
 
+import dataclasses
 from pathlib import Path
 
 import can
@@ -10,7 +11,7 @@ from made_estimates import made_estimate
 from played_bus import PlayedBus
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.j1939_encoder import EPOCH, frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_groups
 from estimator.config import Config, from_dict
@@ -125,6 +126,7 @@ class Recorder:
         self.latest: Estimate | None = None
         self.heard: float | None = None
         self.rows_until: float | None = None
+        self.load_until = np.inf
         self.road_now: RoadAhead | None = None
 
     def offer(self, frames: Frames) -> None:
@@ -177,6 +179,36 @@ def test_an_estimate_is_not_broadcast_after_long_without_speed_and_power_though_
     worker.latest = made_estimate(t=1100.5)
     turn(1101.0)
     assert told[-1] is worker.latest
+
+
+@pytest.mark.parametrize(("stop", "dwell"), [(300.0, 320.0), (15.0, 20.0)])
+def test_the_mass_of_before_a_long_stop_is_not_broadcast_once_the_load_may_have_changed(
+    stop: float, dwell: float
+) -> None:
+    """The stop ends before the rows after it are cut into strides, 20 s at a time."""
+    rng = np.random.default_rng(4)
+    road = generate_route("mixed", 20e3, rng)
+    road = dataclasses.replace(road, stop_position=np.array([2000.0, 20e3]), stop_dwell=np.array([dwell, 0.0]))
+    truth = record(Truck(mass=27_190.0, A=1739.0, C=3.74), road, 300.0 + dwell, rng)
+    standing = EPOCH + truth.truth.t[truth.truth.v < Config().admission.minimum_speed_m_s]
+    began, told = standing[standing > EPOCH + 100][0], list[tuple[float, Estimate | None, Slope | None]]()
+    worker = InlineWorker(from_dict({**EAGER, "load": {"stop_s": stop}}))
+    listener = Listener(worker, lambda t, estimate, slope: told.append((t, estimate, slope)))
+    for message in frames_of(truth.signals).messages():
+        listener(message)
+    fresh = np.array([t for t, estimate, _ in told if estimate is not None and estimate.t < began + dwell])
+    assert fresh[-1] == pytest.approx(began + stop, abs=1.0)
+    assert max(t for t, _, slope in told if slope is not None and t < began + dwell + 40) < began + stop + 1.0
+
+
+def test_an_estimate_is_not_broadcast_from_when_on_the_load_may_be_another() -> None:
+    worker = Recorder()
+    worker.latest, worker.heard, worker.load_until = made_estimate(t=99.0), 100.0, 400.0
+    listener = Listener(worker, lambda t, estimate, slope: None)
+    assert listener.fresh(399.9) is worker.latest
+    assert listener.fresh(400.0) is None
+    worker.load_until = 500.0  # it had moved on by then
+    assert listener.fresh(401.0) is worker.latest
 
 
 def test_daemon_and_replay_broadcast_the_same_bytes(

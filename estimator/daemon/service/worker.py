@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, Protocol
 
 from estimator.answers.reference import References
@@ -45,6 +46,7 @@ class Knowledge:
 
     t: float | None = None
     rows_until: float | None = None  # [s], to which speed or power was read
+    load_until: float = inf  # [s], from which on the load may be another than that of the estimate
     start: float | None = None  # message time [s] of the first frame
     estimate: Estimate | None = None
     frames: int = 0
@@ -90,6 +92,7 @@ class Worker:
         self.pipeline = pipeline
         self.knowledge = Knowledge(
             t=pipeline.traffic.until,
+            load_until=pipeline.load_until,
             estimate=pipeline.latest,
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,
@@ -125,6 +128,11 @@ class Worker:
     def rows_until(self) -> float | None:
         """Message time [s] to which `latest` knows speed or power; None before, and after an interruption."""
         return self.knowledge.rows_until
+
+    @property
+    def load_until(self) -> float:
+        """Message time [s] from which on the load may be another than that of `latest`."""
+        return self.knowledge.load_until
 
     @property
     def backlog(self) -> int:
@@ -248,6 +256,7 @@ class Worker:
         return Knowledge(
             t=self._t,
             rows_until=pipeline.traffic.rows.until,
+            load_until=pipeline.load_until,
             start=pipeline.traffic.start,
             estimate=pipeline.latest,
             frames=pipeline.traffic.frames,
