@@ -175,10 +175,14 @@ class Estimator:
             raise StateError("window: has other columns than are wanted")
         self._resting = True
 
-    def resume(self, same_load: bool) -> Iterator[Estimate]:
-        """Continue after `restore`: process the buffered rows; keep the window only if ``same_load``."""
+    def resume(self, same_load: bool, hidden: float = 0.0) -> Iterator[Estimate]:
+        """Continue after `restore`: process the buffered rows; keep the window only if ``same_load``.
+
+        ``hidden`` [s] of standing are not in the times of the rows.
+        """
         self._resting = False
         yield from self.finish()
+        self._stage.pause(round(hidden / STEP))
         if not same_load:
             self.forget()
 

@@ -62,9 +62,9 @@ class Pipeline:
         """Road under the vehicle; None without a fit, or while an input is contested."""
         return None if self.traffic.contested else self.estimator.road_now
 
-    def feed(self, frames: Frames) -> Iterator[Estimate]:
-        """Take the next frames in order of arrival; yields estimates as they fall due."""
-        for item in self.traffic.feed(frames):
+    def feed(self, frames: Frames, now: float | None = None) -> Iterator[Estimate]:
+        """Take the next frames in order of arrival; yields estimates as they fall due; ``now`` as in `RowStream`."""
+        for item in self.traffic.feed(frames, now):
             yield from self.take(item)
 
     def finish(self) -> Iterator[Estimate]:
@@ -92,7 +92,7 @@ class Pipeline:
     def restore(self, state: State, same_clock: bool = True) -> None:
         """Take the state of another pipeline with the same configuration, before the first frame.
 
-        The length of the downtime follows from the next frame. If it begins a new drive (see `RowStream.restore`), the
+        The length of the downtime follows from the next frames. If it begins a new drive (see `RowStream.restore`), the
         parameters of the vehicle are carried over as after a long stop. Until then there is no estimate.
 
         Raises
@@ -108,7 +108,7 @@ class Pipeline:
     def _interrupt(self, item: Interruption) -> Iterator[Estimate]:
         if self._is_restored:
             self._is_restored = False
-            yield from self.estimator.resume(same_load=not item.is_new_drive)
+            yield from self.estimator.resume(not item.is_new_drive, item.hidden)
             return
         yield from self.estimator.finish()
         if item.is_new_drive:

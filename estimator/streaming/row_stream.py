@@ -71,13 +71,15 @@ class Interruption:
     """Silence, or step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
 
     After a ``is_new_drive`` interruption the load may be another one. With ``is_step_back`` the vehicle may be another
-    one as well, and after ``is_sender_replaced`` the estimates of the vehicle may be wrong.
+    one as well, and after ``is_sender_replaced`` the estimates of the vehicle may be wrong. It lasted ``hidden`` [s]
+    longer than its times say.
     """
 
     start: float | None  # None: a state without traffic was restored
     end: float
     is_new_drive: bool
     is_sender_replaced: bool = False
+    hidden: float = 0.0
 
     @property
     def is_step_back(self) -> bool:
@@ -132,6 +134,8 @@ class RowStream:
         self._until: float | None = None  # time of the newest frame ever [s]
         self._is_restored = False  # and not fed since
         self._same_clock = True  # since the state was saved
+        self._now: float | None = None  # of `feed` [s]
+        self._fed: float | None = None  # `now` of the newest frames [s], also of those before a restored state
         self._block_end = 0.0
 
     def _new(self) -> tuple[Decoder, Aligner]:
@@ -191,16 +195,20 @@ class RowStream:
         """Inputs of the model without a reading so far, by MESSAGE.signal."""
         return [self._names.get(role, role.value) for role in self._missing_roles()]
 
-    def feed(self, frames: Frames) -> Iterator[Block | Interruption]:
+    def feed(self, frames: Frames, now: float | None = None) -> Iterator[Block | Interruption]:
         """Take the next frames in order of arrival; yields blocks, and interruptions between them.
 
-        A frame waits for MAX_DELAY of traffic, until no other can precede it.
+        A frame waits for MAX_DELAY of traffic, until no other can precede it. ``now`` [s], of a clock that is never
+        set, tells the downtime before a restored state, where message times may hide some of it.
         """
+        self._now = now
         self.frames += len(frames)
         if not self.used:
             self._answers += current_data(frames)
         for ordered in self.order.feed(frames):
             yield from self._process(ordered)
+        if not self._is_restored:
+            self._fed = now
 
     def finish(self) -> Iterator[Block | Interruption]:
         """Turn the waiting frames into rows, at the end of the traffic."""
@@ -261,6 +269,7 @@ class RowStream:
             "seen": {role.value: count for role, count in self.seen.items()},
             "gaps": list(self.rows.gaps),
             "until": self._until,
+            "fed": self._fed,
             "replacements": self.replacements,
         }
 
@@ -269,7 +278,7 @@ class RowStream:
 
         The first item that `feed` then yields is an interruption. It begins a new drive after a downtime of more than
         MIN_NEW_DRIVE_SILENCE, or of unknown length; the senders of signals are then chosen again. The length is unknown
-        if the clock was set back, was never set, or has not run since the state was saved (``same_clock`` is False).
+        if the clock was set back to before the state, was never set, or has not run since (``same_clock`` is False).
 
         Raises
         ------
@@ -281,7 +290,9 @@ class RowStream:
         aligner.restore(substate(state, "aligner"))
         frames, valid_rows = read(state, "frames", Count), read(state, "valid_rows", Count)
         seen, gaps = read(state, "seen", dict[Role, Count]), read(state, "gaps", list[Gap])
-        self._until, self.replacements = read(state, "until", float | None), read(state, "replacements", Count)
+        until, fed = read(state, "until", float | None), read(state, "fed", float | None)
+        self.replacements = read(state, "replacements", Count)
+        self._until, self._fed = until, fed
         self._decoder, self._aligner = decoder, aligner
         self.frames, self.rows, self.seen = frames, RowCounts(valid_rows, gaps), Counter(seen)
         self._is_restored, self._same_clock = True, same_clock
@@ -418,10 +429,13 @@ class RowStream:
         if last is None:
             return Interruption(None, t, is_new_drive=True)
         self.rows.gaps.append((last, t))
-        same_load = self._same_clock and last >= MIN_SET_CLOCK and 0 <= t - last <= MIN_NEW_DRIVE_SILENCE
+        gap = away = t - last
+        if self._now is not None and self._fed is not None:
+            away = max(gap, self._now - self._fed)
+        same_load = self._same_clock and last >= MIN_SET_CLOCK and 0 <= gap <= away <= MIN_NEW_DRIVE_SILENCE
         if not same_load:
             self._decoder.release()
-        return Interruption(last, t, is_new_drive=not same_load)
+        return Interruption(last, t, is_new_drive=not same_load, hidden=away - gap if same_load else 0.0)
 
 
 def _silence(start: float, end: float) -> Interruption:

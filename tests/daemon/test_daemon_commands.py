@@ -328,6 +328,26 @@ def test_a_state_from_before_the_machine_was_started_is_not_taken_for_the_same_l
     assert not sources_after("", "")
 
 
+def test_an_absence_counts_whole_though_the_clock_was_set_back_in_it(settings: Path, tmp_path: Path, log: Path) -> None:
+    loaded = config.load(settings)
+    frames = Frames.concatenate(list(open_log(log)))
+    frames = replace(frames, t=frames.t - frames.t[0] + 1.7e9)
+    store, now = StateStore(tmp_path / "state"), frames.t < 1.7e9 + 50
+
+    def sources_after(away: float) -> dict[str, int]:
+        worker = Worker(Pipeline(loaded), 10**6, store, "k", clock=lambda: 500.0)
+        worker.offer(frames[now])
+        worker.close()
+        worker = Worker(restored(loaded, store, "k"), 10**6, store, "k", clock=lambda: 500.0 + away)
+        worker.offer(frames[~now][:1])
+        worker.turn()
+        list(worker.pipeline.finish())
+        return worker.pipeline.traffic.sources
+
+    assert sources_after(300.0)
+    assert not sources_after(7200.0)  # 0 s by the times of the messages
+
+
 def test_two_daemons_do_not_share_a_state(running: Running, settings: Path, tmp_path: Path) -> None:
     until(lambda: bool(shown(tmp_path)))
     with pytest.raises(ConfigError, match="another daemon"):
@@ -428,7 +448,7 @@ def test_an_estimator_that_fails_at_the_end_saves_nothing_and_leaves_no_status(
     bench.turn()
     assert (tmp_path / "run/metrics.prom").exists()
 
-    def fail(frames: Frames) -> None:
+    def fail(frames: Frames, now: float) -> None:
         raise ZeroDivisionError("broken")
 
     monkeypatch.setattr(bench.worker.pipeline, "feed", fail)

@@ -55,6 +55,7 @@ REBUILT = {  # what traffic or the configuration shows again
         "_lines",
         "_is_restored",
         "_same_clock",
+        "_now",
         "newest",
         "order",
         "references",
@@ -223,6 +224,20 @@ def test_no_clock_tells_for_how_long_the_machine_was_off(drive, state):
     assert pipeline.estimator.latest is None
     estimate = run(pipeline, between(drive, SAVED + 20, END))
     assert estimate.load.before == pytest.approx(TRUCK.mass, rel=0.02)
+
+
+@pytest.mark.parametrize(("away", "is_same"), [(20.0, True), (299.0, False), (7200.0, False)])
+def test_a_clock_that_is_set_back_in_the_absence_hides_none_of_it(drive, away, is_same):
+    """By message times it is 20 s, as long as before the rows that the state lacks."""
+    pipeline = new()
+    list(pipeline.feed(between(drive, 0, SAVED), 1000.0))
+    pipeline = restored(stored(pipeline.state()))
+    before, held = pipeline.estimator.segment, len(pipeline.estimator.window)
+    list(pipeline.feed(between(drive, SAVED + 20, SAVED + 20.5), 1000.0 + away - 1))
+    list(pipeline.feed(between(drive, SAVED + 20.5, SAVED + 80), 1000.0 + away))
+    assert (pipeline.estimator.segment == before) == is_same
+    assert (len(pipeline.estimator.window) > held) == is_same
+    assert (pipeline.estimator.latest is not None) == is_same
 
 
 def test_nothing_is_claimed_before_the_absence_is_known(state):

@@ -31,9 +31,9 @@ def main(port: str, folder: str, *options: str) -> None:
         drained.add(time.time() - batch.frames.t)
         return batch
 
-    def timed_feed(self: Pipeline, frames: Frames) -> Iterator[Estimate]:
+    def timed_feed(self: Pipeline, frames: Frames, now: float) -> Iterator[Estimate]:
         taken.add(time.time() - frames.t)
-        return feed(self, frames)
+        return feed(self, frames, now)
 
     def noted_write(path: Path, status: StatusAnswer) -> None:
         shown[:] = [status]

@@ -1,4 +1,4 @@
-"""Identity of the machine's start: the clock measures a downtime only if the machine was not switched off in it.
+"""Identity of the machine's start: clocks measure a downtime only if the machine was not switched off in it.
 
 A gateway without a battery for its clock continues from the time at which it was switched off.
 """

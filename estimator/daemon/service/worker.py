@@ -228,7 +228,7 @@ class Worker:
     def _feed(self, frames: Frames, began: float) -> None:
         self._t, self._fed = float(frames.t[-1]), True
         concluded = None
-        for concluded in self.pipeline.feed(frames):
+        for concluded in self.pipeline.feed(frames, began):
             self._history.add(concluded, self.pipeline.traffic.start or 0.0)
             log.info("estimate: %s", summary.in_one_line(concluded))
         self.road_now = self.pipeline.road_now
