@@ -22,6 +22,7 @@ from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE
 
 TICK = 0.25  # s of traffic taken at a time; well below the shortest period of the broadcasts
 MAX_UPDATES = 10_000  # kept: a week of them
+UNSTAMPED = "no time stamp (0 s)"
 
 Send = Callable[[can.Message], object]
 Broadcast = Callable[[float, Estimate | None, Slope | None], object]
@@ -120,6 +121,8 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
         Estimates from the frames.
     broadcast
         Called with the message time [s], the newest estimate and the slope, at least every TICK of traffic.
+    is_log
+        True if the time 0 s is one, as where a log begins; from a bus, python-can gives it to messages without a stamp.
 
     Attributes
     ----------
@@ -131,11 +134,11 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
         Errors of the bus under a `can.Notifier`.
     """
 
-    def __init__(self, worker: Worker, broadcast: Broadcast) -> None:
+    def __init__(self, worker: Worker, broadcast: Broadcast, is_log: bool = False) -> None:
         self.skipped: Counter[str] = Counter()
         self.failure: Exception | None = None
         self.failures = 0
-        self._worker, self._broadcast = worker, broadcast
+        self._worker, self._broadcast, self._is_log = worker, broadcast, is_log
         self._waiting: list[can.Message] = []
         self._due: float | None = None
         self._newest = worker.heard  # message time [s]
@@ -191,8 +194,8 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
             self.skipped["error frame" if msg.is_error_frame else "remote frame"] += 1
             return
         t = msg.timestamp
-        if not is_time(t):
-            self.skipped[NO_TIME] += 1
+        if not is_time(t) or (t == 0 and not self._is_log):
+            self.skipped[UNSTAMPED if t == 0 else NO_TIME] += 1
             return
         if self._due is None:
             self._due = t + TICK

@@ -168,7 +168,7 @@ def replay(
             if slope is not None and (not slopes or not 0 <= t - slopes[-1].t < SLOPE_PERIOD):
                 slopes.append(slope)
 
-        listener = Listener(worker, broadcast)
+        listener = Listener(worker, broadcast, is_log=True)
         sent = received = 0
         try:
             for frames in logs:

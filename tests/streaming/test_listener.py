@@ -118,6 +118,26 @@ def test_it_counts_what_is_no_data_frame() -> None:
     assert listener.skipped == {"error frame": 1, "remote frame": 1}
 
 
+def test_messages_without_a_time_stamp_are_counted_and_not_kept() -> None:
+    """Such a bus would fill the memory: no message is ever due."""
+    worker = InlineWorker(Config())
+    listener = Listener(worker, lambda t, estimate, slope: None)
+    for _ in range(1000):
+        listener(can.Message(arbitration_id=0x18FEF100, data=bytes(8)))
+    listener.stop()
+    assert listener.skipped == {"no time stamp (0 s)": 1000}
+    assert worker.pipeline.traffic.frames == 0
+
+
+def test_a_replayed_log_may_begin_at_zero(drive: Frames, tmp_path: Path) -> None:
+    part = drive[:4000]
+    write_log(dataclasses.replace(part, t=part.t - part.t[0]), tmp_path / "zero.log")
+    run = replay([tmp_path / "zero.log"], Config())
+    assert run.start == 0.0
+    assert run.pipeline.traffic.frames == 4000
+    assert not run.skipped
+
+
 class Recorder:
     """A worker that only keeps the frames of each tick."""
 
