@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from estimator.errors import ConfigError, RoadloadError
 
-PART = ".part-"  # before the name of a file that is being written; the suffix stays, for it may name the format
+PART = ".part"  # suffix of a file that is being written: whoever reads all files of a suffix does not see it
 
 REMEDY = {
     errno.ENOSPC: "free space on the disk and run again",
@@ -68,7 +68,7 @@ def write(path: Path, content: bytes, mode: int) -> None:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A temporary name that becomes ``path`` when all went well and vanishes otherwise."""
-    temporary = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # another process may write the same file
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")  # another process may write the same file
     try:
         yield temporary
         temporary.replace(path)

@@ -20,6 +20,14 @@ def test_a_file_appears_whole(tmp_path: Path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
 
 
+def test_a_file_that_is_being_written_has_not_its_suffix(tmp_path: Path):
+    """The node exporter reads every *.prom of a folder, and others every log."""
+    with whole(tmp_path / "roadload.prom") as file:
+        file.write(b"half of")
+        assert not list(tmp_path.glob("*.prom"))
+    assert len(list(tmp_path.glob("*.prom"))) == 1
+
+
 def test_what_was_there_stays_when_writing_fails(tmp_path: Path):
     path = tmp_path / "page.html"
     path.write_text("old")
@@ -38,7 +46,7 @@ def test_what_was_there_stays_when_writing_fails(tmp_path: Path):
 @pytest.mark.parametrize("kind", ["link to a file", "link to nothing", "file"])
 def test_a_link_planted_at_the_temporary_name_is_not_written_through(tmp_path: Path, kind: str):
     path, elsewhere = tmp_path / "status.json", tmp_path / "elsewhere"
-    planted = tmp_path / f"{PART}{os.getpid()}-{path.name}"
+    planted = tmp_path / f".{path.name}.{os.getpid()}{PART}"
     if kind == "file":
         planted.write_text("leftover")
     else:
@@ -58,7 +66,7 @@ def test_bytes_are_written_with_their_mode_and_not_through_a_link(tmp_path: Path
     path, elsewhere = tmp_path / "codes.json", tmp_path / "elsewhere"
     elsewhere.write_text("of somebody else")
     path.symlink_to(elsewhere)
-    (tmp_path / f"{PART}{os.getpid()}-{path.name}").symlink_to(elsewhere)
+    (tmp_path / f".{path.name}.{os.getpid()}{PART}").symlink_to(elsewhere)
     before = os.umask(0o077)
     try:
         write(path, b"all of it", 0o644)
