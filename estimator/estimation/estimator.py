@@ -223,7 +223,7 @@ class Estimator:
 
     def _conclude(self, t: float, is_last: bool = False) -> Estimate:
         context = self._stage.wanted or frozenset()
-        before = self._inference.state()
+        before, evidence = self._inference.state(), self.evidence
         try:
             self._latest = self._inference.conclude(t, context, self._scale, self.rejected, is_last)
         except NUMERICAL_ERRORS as error:
@@ -236,6 +236,10 @@ class Estimator:
                 coverage=Coverage(0, 0),
                 admitted=len(self.window),
             )
+        except BaseException:  # such as Ctrl-C: the estimate before and its evidence stay together
+            self._inference.restore(before)
+            self._inference.evidence = evidence
+            raise
         fit = None if self.evidence is None else self.evidence.fit
         self._road.conclude(None if fit is None else (fit, self.window.strides.without(fit.contradicted)))
         if self._latest.status == Status.ESTIMATED:

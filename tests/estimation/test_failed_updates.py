@@ -69,7 +69,7 @@ def fed(estimator: Estimator, rows: Rows) -> list[Estimate]:
     return [estimate for i in range(0, len(rows), 50) for estimate in estimator.feed(rows[i : i + 50])]
 
 
-def raising(error: Exception) -> Callable[..., Any]:
+def raising(error: BaseException) -> Callable[..., Any]:
     def broken(*_: object, **__: object) -> Any:
         raise error
 
@@ -181,6 +181,23 @@ def test_a_mistake_in_the_program_is_not_taken_for_a_numerical_failure(
     monkeypatch.setattr(posterior, "sample", raising(TypeError("a mistake")))
     with pytest.raises(TypeError, match="a mistake"):
         list(restored(before).resume(same_load=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("likelihood", ["road", "paper"])
+def test_an_update_that_is_interrupted_leaves_the_estimate_before_with_its_draws(
+    rows: Rows, likelihood: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimator = new(likelihood)
+    (latest,) = fed(estimator, rows[:SEEN])
+    evidence, state = estimator.evidence, pack(estimator._inference.state(), "k")
+    assert evidence is not None
+    monkeypatch.setattr(posterior, "sample", raising(KeyboardInterrupt()))
+    with pytest.raises(KeyboardInterrupt):
+        list(estimator.finish())
+    assert estimator.latest is latest
+    assert estimator.evidence is evidence
+    assert pack(estimator._inference.state(), "k") == state
 
 
 @pytest.mark.slow
