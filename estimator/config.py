@@ -370,7 +370,7 @@ def estimation_key(config: Config) -> str:
     }
     relevant["bus"] = msgspec.structs.replace(config.bus, dbc=[])
     digest = blake2b(msgspec.json.encode(relevant, order="sorted"), digest_size=16)
-    for name in config.bus.dbc:
+    for name in config.bus.dbc or [str(files("estimator.dbc").joinpath("j1939.dbc"))]:
         digest.update(Path(name).read_bytes())
     if config.road.map is not None:
         digest.update(read_map(Path(config.road.map)))

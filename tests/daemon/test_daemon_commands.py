@@ -123,7 +123,9 @@ def test_an_output_group_cannot_be_an_input(settings: Path, tmp_path: Path) -> N
         plan(settings, None, Namespace())
 
 
-def test_a_state_belongs_to_what_it_was_estimated_with(settings: Path, tmp_path: Path) -> None:
+def test_a_state_belongs_to_what_it_was_estimated_with(
+    settings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "own.dbc").write_text((DBC / "j1939.dbc").read_text())
     base = config.from_dict({"bus": {"dbc": [str(tmp_path / "own.dbc")]}})
     key = config.estimation_key(base)
@@ -131,6 +133,11 @@ def test_a_state_belongs_to_what_it_was_estimated_with(settings: Path, tmp_path:
     assert config.estimation_key(config.replace(base, vehicle=Vehicle(driveline_efficiency=0.9))) != key
     (tmp_path / "own.dbc").write_text((DBC / "j1939.dbc").read_text() + "\n")
     assert config.estimation_key(base) != key
+    given, without = config.estimation_key(base), config.estimation_key(config.Config())
+    monkeypatch.setattr(config, "files", lambda package: tmp_path)
+    (tmp_path / "j1939.dbc").write_text("another version of what is shipped")
+    assert config.estimation_key(config.Config()) != without
+    assert config.estimation_key(base) == given
 
 
 def test_check_tells_whether_a_log_can_feed_the_model(cli: Callable[..., Outcome], log: Path, tmp_path: Path) -> None:
