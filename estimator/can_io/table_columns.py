@@ -12,11 +12,11 @@ from cantools.database.can import Database, Message, Signal
 from cantools.database.conversion import BaseConversion
 
 from estimator.can_io.frames import EXTENDED
-from estimator.errors import ConfigError
+from estimator.errors import ConfigError, LogError
 from estimator.near_names import did_you_mean
 from estimator.roles import DIMENSION, GRADES, STATE, Role
 from estimator.settings import Table
-from estimator.units import conversion_of, normal_form, spellings_of
+from estimator.units import Conversion, conversion_of, normal_form, spellings_of
 
 NUMBER_BYTES = 8
 FIRST_IDENT = 0x18FF0000  # of groups without a meaning of their own (J1939 proprietary B)
@@ -63,6 +63,31 @@ def name_in(there: Container[str], text: str) -> str:
 def seconds_in(unit: str) -> float | None:
     """Seconds [s] in a unit of time; None if it is not known."""
     return _SECONDS.get(normal_form(unit))
+
+
+def check_units(source: str, table: Table, there: Container[str], given: Mapping[str, str]) -> None:
+    """Check the units of columns against those that are ``given`` in the file, or stand in the names that are there.
+
+    Raises
+    ------
+    LogError
+        A column is asked for in another unit.
+    """
+    texts = [column.text for column in columns_of(table) if DIMENSION[column.role] != STATE]
+    for text in [*texts, *([] if table.time is None else [table.time])]:
+        name, unit = name_in(there, text), split_unit(text)[1]
+        stem, in_name = split_unit(name)
+        own = given.get(name) or in_name
+        if name in there and own and unit and _meaning(own) not in (None, _meaning(unit)):
+            raise LogError(
+                f"{source}: column {name!r} is in {own!r} by the file, and {text!r} takes it in {unit!r}; write "
+                f'"{stem} [{own}]", or correct the unit in the file'
+            )
+
+
+def _meaning(unit: str) -> Conversion | float | None:
+    """What a unit stands for: of the speed, the force, the time ...; None if it is not known."""
+    return FORCE_UNITS.get(normal_form(unit)) or seconds_in(unit) or conversion_of(unit)
 
 
 def columns_of(table: Table) -> list[Column]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.can_io.logs.table import table_frames
-from estimator.can_io.logs.table_piece import ROWS
+from estimator.can_io.logs.table_piece import ROWS, Piece
 from estimator.config import Config, replace
 from estimator.errors import InputError
 from estimator.preparation.drive import Drive
@@ -109,7 +109,7 @@ def _with_unit(column: str, units: Mapping[str, str]) -> str:
     return f"{column} [{units[column]}]" if column in units else column
 
 
-def _pieces(data: Any) -> Iterable[Mapping[str, Any]]:
+def _pieces(data: Any) -> Iterable[Piece]:
     """Rows of columns in memory, ROWS at a time."""
     names = [str(name) for name in (data.keys() if isinstance(data, Mapping) else data.columns)]
     columns = {name: _array(data[name]) for name in names}
@@ -117,7 +117,7 @@ def _pieces(data: Any) -> Iterable[Mapping[str, Any]]:
     if len(set(lengths.values())) > 1:
         raise InputError(f"table: columns have different lengths: {lengths}")
     for first in range(0, max(lengths.values(), default=0), ROWS):
-        yield {name: column[first : first + ROWS] for name, column in columns.items()}
+        yield Piece({name: column[first : first + ROWS] for name, column in columns.items()}, 1.0)
 
 
 def _array(column: Any) -> NDArray[Any]:

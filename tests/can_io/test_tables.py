@@ -417,6 +417,38 @@ def test_a_unit_in_the_heading_of_a_column_is_its_unit(text: str, time: str, tmp
         assert len(rows) == pytest.approx(n, abs=3)
 
 
+@pytest.mark.parametrize(
+    ("role", "said"),
+    [
+        (
+            ["speed=v[km/h] [mph]"],
+            """column 'v[km/h]' is in 'km/h' by the file, and 'v[km/h] [mph]' takes it in 'mph'""",
+        ),
+        (
+            ["force=F[kN] [N]"],
+            """column 'F[kN]' is in 'kN' by the file, and 'F[kN] [N]' takes it in 'N'; write "F [kN]\"""",
+        ),
+        (
+            ["time=t[ms] [s]"],
+            """column 't[ms]' is in 'ms' by the file, and 't[ms] [s]' takes it in 's'; write "t [ms]\"""",
+        ),
+        (["time=t[ms] [ms]"], ""),
+        (["brake_switch=on[%] [1]"], ""),
+    ],
+)
+def test_a_unit_beside_another_one_in_the_heading_is_refused(
+    role: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = {"t[ms]": 100 * np.arange(200), "v[km/h]": np.full(200, 72.0), "F[kN]": np.full(200, 2.0)}
+    file = written_table({**columns, "on[%]": np.zeros(200)}, tmp_path / "a.csv")
+    roles = {part.split("=")[0]: part for part in ["time=t[ms]", "speed=v[km/h]", "force=F[kN]", *role]}
+    maps = [part for text in roles.values() for part in ("--map", text)]
+    if said:
+        assert said in refused(capsys, "inspect", file, *maps)
+    else:
+        assert main(["inspect", str(file), *maps]) == 0
+
+
 @pytest.mark.parametrize(("unit", "seconds"), [("s", 1.0), ("Seconds", 1.0), ("msec", None), ("µs", 1e-6), ("", None)])
 def test_units_of_time(unit: str, seconds: float | None) -> None:
     assert seconds_in(unit) == seconds

@@ -59,8 +59,13 @@ def test_signals_of_an_mf4_file_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(rows.speed[100:400], 10.0 + 0.1 * rows.t[100:400], atol=0.01)
     np.testing.assert_allclose(rows.power[100:400], 1e4 + 100.0 * rows.t[100:400], rtol=1e-3)
     assert len(rows) > 15_000
-    with pytest.raises(RoadloadError, match="has no column 'w'; there are "):
-        rows_of(tmp_path / "drive.mf4", {"speed": "w [m/s]", "power": "P [W]"})
+    for columns, said in (
+        ({"speed": "w [m/s]"}, "has no column 'w'; there are "),
+        ({"speed": "v [km/h]"}, r"column 'v' is in 'm/s' by the file, and 'v \[km/h\]' takes it in 'km/h'; write \"v"),
+        ({"speed": "v [m/s]", "time": "time [ms]"}, "column 'time' is in 's' by the file"),
+    ):
+        with pytest.raises(RoadloadError, match=said):
+            rows_of(tmp_path / "drive.mf4", {**columns, "power": "P [W]"})
 
 
 def test_a_row_between_two_laps_that_repeats_its_time_is_left_out_and_counted(tmp_path: Path) -> None:
@@ -70,6 +75,19 @@ def test_a_row_between_two_laps_that_repeats_its_time_is_left_out_and_counted(tm
     log = TableLog(file, Table(columns=TCX))
     assert sum(len(frames) for frames in log) == 3 * 200
     assert log.skipped == {SAME_TIME: 1}
+
+
+@pytest.mark.parametrize(("name", "column"), [("a.fit", "enhanced_speed"), ("a.tcx", "Speed")])
+def test_another_unit_than_that_of_the_format_is_refused(
+    name: str, column: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = written(fit(ride()) if ".fit" in name else tcx(ride()), tmp_path / name)
+    assert main(["inspect", str(file), "--map", f"speed={column} [km/h]", "--map", "power=power [W]"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == (
+        f"error: {file}: column '{column}' is in 'm/s' by the file, and '{column} [km/h]' takes it in 'km/h'; "
+        f'write "{column} [m/s]", or correct the unit in the file'
+    )
 
 
 BOMB = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>'

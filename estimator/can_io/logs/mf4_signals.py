@@ -21,7 +21,8 @@ MAX_MEMORY = 1 << 32  # bytes of the process, of which 1 GiB are its libraries
 SECONDS, BYTES_PER_SECOND = 10, 1e6  # of processor time, and more for each of so many bytes; usual: 50 MB a second
 TIME, OF_TIME = "time", 1  # name of the column of times; kind of the master channel of a group
 Series = tuple[Floats, Floats]  # times (n,) [s] and values (n,)
-Answer = tuple[list[str], dict[str, Series]]  # names of all channels, and the wanted ones; plain, to be pickled
+# Names of all channels, the wanted ones, and the units that the file gives them; plain, to be pickled.
+Answer = tuple[list[str], dict[str, Series], dict[str, str]]
 
 
 def main() -> int:
@@ -55,6 +56,7 @@ def read(path: Path, wanted: Wanted) -> Answer:
 
     inner: Any = {"original_name": str(path), "__internal__": True}  # as asammdf.MDF itself opens it
     with path.open("rb") as stream, closing(MDF4(stream, **inner)) as file:
+        series, units = dict[str, Series](), {TIME: "s"}
         chosen = sorted(wanted(list(file.channels_db)) & set(file.channels_db) - {TIME})
         for name in chosen:
             if (count := len(file.channels_db[name])) > 1:
@@ -63,7 +65,9 @@ def read(path: Path, wanted: Wanted) -> Answer:
             master = file.masters_db.get(group)
             if master is None or file.groups[group].channels[master].sync_type != OF_TIME:
                 raise LogError(f"the channel {name!r} has no times; export it with them")
-        return list(file.channels_db), {name: _series(name, file.get(name)) for name in chosen}
+            signal: Any = file.get(name)
+            series[name], units[name] = _series(name, signal), str(signal.unit)
+        return list(file.channels_db), series, units
 
 
 def _series(name: str, signal: Any) -> Series:

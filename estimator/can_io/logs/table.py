@@ -24,6 +24,7 @@ from estimator.can_io.table_columns import (
     NUMBER_BYTES,
     TIME_UNITS,
     Column,
+    check_units,
     columns_of,
     ident_of,
     name_in,
@@ -73,15 +74,15 @@ class TableLog(Log):
             )
 
     def _read(self) -> Iterator[Frames]:
-        for frames in table_frames(str(self.path), self._table, self._cells(), self.skipped):
+        for frames in table_frames(str(self.path), self._table, self._pieces(), self.skipped):
             yield self.channels.keep(frames, np.zeros(len(frames), np.uint16), str)
 
-    def _cells(self) -> Iterator[Mapping[str, Any]]:
+    def _pieces(self) -> Iterator[Piece]:
         name = self.path.name.lower()
         read = next(reader for suffix, reader in READERS.items() if name.endswith(suffix))
         for piece in read(self.path, partial(_named, self.path, self._table)):
             self.progress = piece.progress
-            yield piece.cells
+            yield piece
 
 
 def _named(path: Path, table: Table, there: Iterable[str]) -> set[str]:
@@ -104,9 +105,9 @@ def _named(path: Path, table: Table, there: Iterable[str]) -> set[str]:
 
 
 def table_frames(
-    source: str, table: Table, pieces: Iterable[Mapping[str, Any]], skipped: Counter[str] | None = None
+    source: str, table: Table, pieces: Iterable[Piece], skipped: Counter[str] | None = None
 ) -> Iterator[Frames]:
-    """Yield frames of a table from pieces of rows, each a mapping of column names to cells (n,).
+    """Yield frames of a table from pieces of rows.
 
     Rows of one time are one row. A cell whose column has a value at its time, as of a row that two laps share, is left
     out, and its row counted in ``skipped``.
@@ -114,14 +115,16 @@ def table_frames(
     Raises
     ------
     LogError
-        A column is missing, a cell is not a number, or times do not ascend or are too far apart; it names the row.
+        A column is missing or in another unit, a cell is not a number, or times do not ascend or are too far apart; it
+        names the row.
     """
     columns = columns_of(table)
     previous, row, steps, is_judged, rows = -np.inf, 1, list[Floats](), False, SameTimes(len(columns))
     for piece in pieces:
-        t = _times(source, table, piece, row)
+        check_units(source, table, piece.cells, piece.units)
+        t = _times(source, table, piece.cells, row)
         later = _steps(source, t, previous, row)
-        values = _values(source, columns, piece, row)
+        values = _values(source, columns, piece.cells, row)
         row, previous = row + len(t), float(t[-1]) if len(t) else previous
         if not is_judged:
             steps.append(later)

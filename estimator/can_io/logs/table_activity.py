@@ -6,7 +6,7 @@ devices are left out.
 """
 
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -38,17 +38,21 @@ def read_fit(path: Path, wanted: Wanted) -> Iterator[Piece]:
         try:
             with fitdecode.FitReader(source.stream, **strict) as frames:
                 records = (frame for frame in frames if isinstance(frame, fitdecode.FitDataMessage))
-                rows = (
-                    {field.name: field.value for field in frame.fields if field.value is not None}
-                    for frame in records
-                    if frame.name == RECORD
-                )
-                yield from _pieces(path, rows, wanted, source)
+                units = dict[str, str]()
+                rows = (_record(frame, units) for frame in records if frame.name == RECORD)
+                yield from _pieces(path, rows, wanted, source, units)
         except (RoadloadError, OSError, EOFError, zlib.error):  # of the table, or of the file itself
             raise
         except Exception as error:  # of any kind: fitdecode raises those of Python too
             reason = " ".join(str(error).split())[:100]
             raise LogError(f"{path}: is a damaged or cut FIT file ({reason}); copy or export it anew") from error
+
+
+def _record(frame: Any, units: dict[str, str]) -> Row:
+    """The values of a record; their units are added to ``units``."""
+    fields = [field for field in frame.fields if field.value is not None]
+    units |= {field.name: field.units for field in fields if field.units}
+    return {field.name: field.value for field in fields}
 
 
 def read_tcx(path: Path, wanted: Wanted) -> Iterator[Piece]:
@@ -60,7 +64,8 @@ def read_tcx(path: Path, wanted: Wanted) -> Iterator[Piece]:
         The file is no XML, is cut off, or declares a document type.
     """
     with Source(path) as source:
-        yield from _pieces(path, _points(path, source), wanted, source)
+        units = {"Speed": "m/s", "Watts": "W", "AltitudeMeters": "m"}  # of the format
+        yield from _pieces(path, _points(path, source), wanted, source, units)
 
 
 def _points(path: Path, source: Source) -> Iterator[Row]:
@@ -134,7 +139,9 @@ def _local(name: str) -> str:
     return name.rpartition(":")[2]
 
 
-def _pieces(path: Path, rows: Iterator[Row], wanted: Wanted, source: Source) -> Iterator[Piece]:
+def _pieces(
+    path: Path, rows: Iterator[Row], wanted: Wanted, source: Source, units: Mapping[str, str]
+) -> Iterator[Piece]:
     """Rows as pieces, of the wanted values only. Columns are those that any row had so far."""
     names, chosen, part = dict[str, None](), set[str](), list[Row]()
     for row in rows:
@@ -145,13 +152,12 @@ def _pieces(path: Path, rows: Iterator[Row], wanted: Wanted, source: Source) -> 
             raise LogError(f"{path}: has over {MAX_TEXT} kinds of values; export it anew")
         part.append({name: row[name] for name in chosen & row.keys()})
         if len(part) == ROWS:
-            yield _piece(names, chosen, part, source)
+            yield Piece(_cells(names, chosen, part), source.consumed, units)
             part = []
     if part:
-        yield _piece(names, chosen, part, source)
+        yield Piece(_cells(names, chosen, part), source.consumed, units)
 
 
-def _piece(names: Iterable[str], chosen: set[str], rows: Sequence[Row], source: Source) -> Piece:
+def _cells(names: Iterable[str], chosen: set[str], rows: Sequence[Row]) -> Mapping[str, Any]:
     """Cells by column; a value that is missing is NaN."""
-    cells = {name: [row.get(name, float("nan")) for row in rows] if name in chosen else () for name in names}
-    return Piece(cells, source.consumed)
+    return {name: [row.get(name, float("nan")) for row in rows] if name in chosen else () for name in names}

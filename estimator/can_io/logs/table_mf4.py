@@ -59,13 +59,13 @@ def _answer(path: Path, wanted: Wanted) -> Answer:
 
 
 def _rows(answer: Answer) -> Iterator[Piece]:
-    names, series = answer
+    names, series, units = answer
     others: dict[str, Any] = dict.fromkeys(names, ())
     times = np.unique(np.concatenate([np.empty(0), *(t for t, _ in series.values())]))
     for first in range(0, len(times), ROWS):
         part = times[first : first + ROWS]
         cells = {name: _at(part, *values) for name, values in series.items()}
-        yield Piece({**others, TIME: part, **cells}, min((first + ROWS) / len(times), 1.0))
+        yield Piece({**others, TIME: part, **cells}, min((first + ROWS) / len(times), 1.0), units)
 
 
 def _at(times: Floats, t: Floats, value: Floats) -> Floats:

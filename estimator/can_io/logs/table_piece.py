@@ -1,7 +1,7 @@
 """A piece of a table: some rows as cells by column; every reader of tables yields such pieces."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 ROWS = 1 << 14  # at once
@@ -11,7 +11,8 @@ Wanted = Callable[[Iterable[str]], set[str]]  # of the names that there are, tho
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Cells (n,) by name of the column, and the share of the file that has been read up to them."""
+    """Cells (n,) by name of the column, the share of the file that has been read up to them, and units it gives."""
 
     cells: Mapping[str, Any]
     progress: float
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns, where the file has them beside the names
