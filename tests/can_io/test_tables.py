@@ -16,7 +16,7 @@ from simulated_logs import TRUCK, ask, drive, written
 from estimator import estimate, from_table, read
 from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.logs import table_text
-from estimator.can_io.logs.table import SAME_TIME, SUFFIXES, TableLog
+from estimator.can_io.logs.table import SAME_TIME, SHORT, SUFFIXES, TableLog
 from estimator.can_io.logs.table_times import SameTimes
 from estimator.can_io.table_columns import seconds_in, split_unit
 from estimator.commands.main import main
@@ -172,7 +172,14 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
             "missing inputs: speed; give them columns with numbers, as in --map speed=",
         ),
         (steady(v=[1e308] * 200), MAP, "missing inputs: speed.v; give them columns with numbers, as in --map speed="),
-        (steady(v=["inf"] * 200, P=["nan"] * 200), MAP, "no row with a number in it (nothing at all)"),
+        (steady(v=["nan"] * 200, P=["nan"] * 200), MAP, "no row with a number in it (nothing at all)"),
+        (
+            steady(v=["inf"] * 200, P=["nan"] * 200),
+            MAP,
+            "missing inputs: speed.v, engine_power.P; give them columns",
+        ),
+        (steady(v=["72"] * 20 + ["1_000"] + ["72"] * 179), MAP, "row 21, column 'v': '1_000' is no number; correct"),
+        (steady(t=["0.1"] * 5 + ["1_0"] + ["0.2"] * 194), MAP, "row 6, column 't': '1_0' is no number; correct it"),
         (steady(), [*MAP[:4], "--map", "time=t [fortnights]"], "the unit 'fortnights' of the times is not known"),
         ({"1.0": [1.0] * 9, "2.0": [2.0] * 9}, MAP, "line 1 names no columns ('1.0, 2.0'); put a line of names first"),
     ],
@@ -197,6 +204,22 @@ def test_a_table_as_a_spreadsheet_of_another_country_writes_it(encoding: str, tm
     assert columns_read(text, tmp_path / "a.csv", encoding) == expected
 
 
+def test_a_cell_that_is_infinite_and_a_row_that_is_short_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last row is cut within its speed; the rows after a short one keep their numbers."""
+    rows = [f"{i / 10},{50 + i % 9},50\n" for i in range(200)]
+    rows[3], rows[7], rows[-1] = "0.3,inf,50\n", "0.7,50\n", "19.9,7"
+    (tmp_path / "a.csv").write_text("t,v,P\n" + "".join(rows))
+    assert main(["inspect", str(tmp_path / "a.csv"), *MAP, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["frames"]["errors"] == {SHORT: 2, "speed.v: not a number": 1}
+    assert found["inputs"]["speed"]["minimum"] == pytest.approx(50 / 3.6)
+    rows[9] = "0.9,fast,50\n"
+    (tmp_path / "a.csv").write_text("t,v,P\n" + "".join(rows))
+    assert "row 10, column 'v': 'fast' is no number" in refused(capsys, "inspect", tmp_path / "a.csv", *MAP)
+
+
 def test_commas_beside_decimal_points_are_not_taken_for_decimal_commas(tmp_path: Path) -> None:
     assert columns_read("t\tn\n0.1\t1,234\n", tmp_path / "a.tsv") == {"t": ["0.1"], "n": ["1,234"]}
 
@@ -206,7 +229,12 @@ def test_a_quote_that_is_not_closed_does_not_hide_the_rows_after_it(tmp_path: Pa
     rows[40] = '40,40,"3 inch\n'
     with pytest.raises(LogError, match=r"t\.csv: line 42 has a quote that is not closed"):
         columns_read("t,v,remark\n" + "".join(rows), tmp_path / "t.csv")
-    rows[40] = '40,40,"two\nlines"\n'
+    rows[43] = '43,43,"4 inch\n'
+    with pytest.raises(LogError, match=r"t\.csv: line 42 has a quote that is not closed"):
+        columns_read("t,v,remark\n" + "".join(rows), tmp_path / "t.csv")
+    with pytest.raises(LogError, match=r"t\.csv: line 2 has a quote that is not closed"):
+        columns_read('t,v,remark\n0,0,"\n' + "0,0,\n" * 20_000, tmp_path / "t.csv")
+    rows[40], rows[43] = '40,40,"two\nlines"\n', '43,43,"' + 30 * "many, \n" + '"\n'
     assert columns_read("t,v,remark\n" + "".join(rows), tmp_path / "t.csv")["t"] == [str(i) for i in range(100)]
 
 

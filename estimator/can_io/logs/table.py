@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, Frames
 from estimator.can_io.logs import table_activity, table_mf4, table_parquet, table_text
@@ -54,6 +55,7 @@ TIMES = ("time", "t", "timestamp", "seconds", "secs", "elapsed", "time_s", "t_s"
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
 MAX_STEP = 2.0  # s between rows in the median: slower ones show no change of speed that a force made
 SAME_TIME = "row with a second value at its time"
+SHORT = "row with fewer cells than names"
 
 
 class TableLog(Log):
@@ -110,7 +112,7 @@ def table_frames(
     """Yield frames of a table from pieces of rows.
 
     Rows of one time are one row. A cell whose column has a value at its time, as of a row that two laps share, is left
-    out, and its row counted in ``skipped``.
+    out, and so is a row with fewer cells than names. Both rows are counted in ``skipped``.
 
     Raises
     ------
@@ -122,10 +124,14 @@ def table_frames(
     previous, row, steps, is_judged, rows = -np.inf, 1, list[Floats](), False, SameTimes(len(columns))
     for piece in pieces:
         check_units(source, table, piece.cells, piece.units)
-        t = _times(source, table, piece.cells, row)
-        later = _steps(source, t, previous, row)
-        values = _values(source, columns, piece.cells, row)
-        row, previous = row + len(t), float(t[-1]) if len(t) else previous
+        t, values = _times(source, table, piece.cells, row), _values(source, columns, piece.cells, row)
+        whole = np.delete(np.arange(len(t)), piece.short)
+        numbers, row = row + whole, row + len(t)
+        t, values = t[whole], values[whole]
+        later = _steps(source, t, previous, numbers)
+        previous = float(t[-1]) if len(t) else previous
+        if skipped is not None and piece.short:
+            skipped[SHORT] += len(piece.short)
         if not is_judged:
             steps.append(later)
             is_judged = row > ROWS
@@ -169,12 +175,15 @@ def _times(source: str, table: Table, piece: Mapping[str, Any], row: int) -> Flo
     cells = np.asarray(piece[name])
     if cells.dtype.kind == "M":
         return np.where(np.isnat(cells), np.nan, cells.astype("datetime64[ns]").astype(np.int64) / 1e9)
-    if cells.dtype.kind in "OUS" and len(cells) and not is_number(str(cells[0])):
+    texts = (str(cell).strip() for cell in cells.tolist()) if cells.dtype.kind in "OUS" else ()
+    if not is_number(next((text for text in texts if text.lower() not in NOTHING), "0")):
         return np.array([_date(source, str(cell), row + i) for i, cell in enumerate(cells.tolist())])
     return factor * _numbers(source, name, cells, row)
 
 
 def _date(source: str, text: str, row: int) -> float:
+    if text.strip().lower() in NOTHING:
+        return float("nan")
     try:
         date = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -182,16 +191,19 @@ def _date(source: str, text: str, row: int) -> float:
     return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
-def _steps(source: str, t: Floats, previous: float, row: int) -> Floats:
-    """Steps [s] between the times of rows; refuses rows without a time, and those that are earlier than one before."""
+def _steps(source: str, t: Floats, previous: float, numbers: NDArray[np.intp]) -> Floats:
+    """Steps [s] between the times of rows; refuses rows without a time, and those that are earlier than one before.
+
+    The rows have ``numbers`` (n,).
+    """
     steps = np.diff(t, prepend=previous)
     if wrong := np.flatnonzero(~np.isfinite(t)).tolist():
-        raise LogError(f"{source}: row {row + wrong[0]}: has no time; fill it in, or delete the row")
+        raise LogError(f"{source}: row {numbers[wrong[0]]}: has no time; fill it in, or delete the row")
     if back := np.flatnonzero(steps < 0).tolist():
         i = back[0]
         last = t[i - 1] if i else previous
         raise LogError(
-            f"{source}: row {row + i}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or give each "
+            f"{source}: row {numbers[i]}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or give each "
             "drive as a table of its own"
         )
     return steps[(steps > 0) & np.isfinite(steps)]
@@ -215,6 +227,8 @@ def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
         return given.astype(np.float64)
     texts = [str(cell).strip() for cell in given.tolist()]
     try:
+        if "_" in "".join(texts):  # which only Python has in numbers
+            raise ValueError
         return np.array([np.nan if text.lower() in NOTHING else float(text) for text in texts])
     except ValueError:
         i = next(i for i, text in enumerate(texts) if text.lower() not in NOTHING and not is_number(text))
@@ -231,8 +245,9 @@ def _frames(columns: Sequence[Column], t: Floats, values: Floats) -> Frames:
             speed = roles.index(Role.SPEED)
             conversion = conversion_of(columns[speed].unit)
             assert conversion is not None  # checked with the configuration
-            values[:, i] = FORCE_UNITS[column.unit.lower()] * values[:, i] * conversion.scale * values[:, speed]
-    is_known = np.isfinite(values).ravel()
+            with np.errstate(invalid="ignore"):  # an infinite force at rest
+                values[:, i] = FORCE_UNITS[column.unit.lower()] * values[:, i] * conversion.scale * values[:, speed]
+    is_known = ~np.isnan(values).ravel()  # an infinite one is refused, and counted, as it is decoded
     ident = np.tile(np.array([ident_of(i) for i in range(k)], np.uint32), n)[is_known]
     data = np.ascontiguousarray(values.ravel()[is_known].reshape(-1, 1)).view(np.uint8).reshape(-1, CLASSIC_BYTES)
     return Frames(np.repeat(t, k)[is_known], ident, np.full(len(ident), NUMBER_BYTES, np.uint8), data)

@@ -15,7 +15,6 @@ from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
 from estimator.errors import LogError
 
 MAX_FIELD = 1 << 16  # characters of a cell, and of a line: a longer one is none of a table
-MAX_ROW_LINES = 20  # of a row with line breaks in a quoted remark
 DELIMITERS = ",;\t|"
 
 
@@ -39,11 +38,16 @@ def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
             _check_heading(path, heading)
             chosen = wanted(heading)
             places = {name: i for i, name in enumerate(heading) if name in chosen}
-            reader = _whole_rows(path, text, delimiter)
-            rows = _with_points(_cells(path, len(heading), list(places.values()), reader), delimiter)
+            reader = _whole_rows(path, text, delimiter, len(heading))
+            short = list[int]()  # numbers of rows, from 0
+            rows = _with_points(_cells(path, len(heading), list(places.values()), reader, short), delimiter)
+            done = 0
             while part := list(islice(rows, ROWS)):
                 cells = dict(zip(places, zip(*part, strict=True), strict=True))
-                yield Piece({**dict.fromkeys(heading, ()), **cells}, source.consumed)
+                in_part = [number - done for number in short]
+                yield Piece({**dict.fromkeys(heading, ()), **cells}, source.consumed, short=in_part)
+                short.clear()
+                done += len(part)
         except csv.Error as error:
             raise LogError(f"{path}: is no table of text ({error}); give a CSV file") from error
 
@@ -56,26 +60,42 @@ def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
         yield line
 
 
-def _whole_rows(path: Path, text: io.TextIOWrapper, delimiter: str) -> Iterator[list[str]]:
-    """The rows after the names, each of at most MAX_ROW_LINES lines: a quote that is not closed hides all after it."""
+def _whole_rows(path: Path, text: io.TextIOWrapper, delimiter: str, names: int) -> Iterator[list[str]]:
+    """The rows after the ``names``; refuses a quote that hides other rows, or all after it, as it is not closed."""
     reader = csv.reader(_lines(path, text), delimiter=delimiter)
     line = 1  # that of names
-    for row in reader:
-        if reader.line_num - (line - 1) > MAX_ROW_LINES:
-            raise LogError(f"{path}: line {line + 1} has a quote that is not closed; remove it")
-        line = 1 + reader.line_num
-        yield row
+    try:
+        for row in reader:
+            if reader.line_num > line and any(_hides_rows(cell, delimiter, names) for cell in row):
+                raise csv.Error
+            line = 1 + reader.line_num
+            yield row
+    except csv.Error as error:  # or a cell that is longer than any line
+        raise LogError(f"{path}: line {line + 1} has a quote that is not closed; remove it") from error
 
 
-def _cells(path: Path, names: int, places: Sequence[int], rows: Iterator[list[str]]) -> Iterator[list[str]]:
-    """The cells at ``places`` of each row that is not blank; refuses a row with more cells than there are ``names``."""
+def _hides_rows(cell: str, delimiter: str, names: int) -> bool:
+    """Whether a line after the first one of a quoted cell has as many delimiters as the line of names."""
+    return any(line.count(delimiter) >= names - 1 for line in cell.splitlines()[1:])
+
+
+def _cells(
+    path: Path, names: int, places: Sequence[int], rows: Iterator[list[str]], short: list[int]
+) -> Iterator[list[str]]:
+    """The cells at ``places`` of each row that is not blank; refuses a row with more cells than there are ``names``.
+
+    Numbers, from 0, of rows with fewer cells are added to ``short``; their cells are empty.
+    """
     for number, row in enumerate(filter(None, rows), start=1):
         if len(row) > names and any(row[names:]):
             raise LogError(
                 f"{path}: row {number} has {len(row)} cells, line 1 has {names} names; correct that row, or "
                 "write numbers with decimal points"
             )
-        yield [row[i] if i < len(row) else "" for i in places]
+        if len(row) < names:
+            short.append(number - 1)
+            row = names * [""]
+        yield [row[i] for i in places]
 
 
 def _with_points(rows: Iterator[list[str]], delimiter: str) -> Iterator[list[str]]:
@@ -96,9 +116,9 @@ def _check_heading(path: Path, heading: list[str]) -> None:
 
 
 def is_number(text: str) -> bool:
-    """Whether a cell is a number."""
+    """Whether a cell is a number; one with underscores is a number of Python alone."""
     try:
         float(text)
     except ValueError:
         return False
-    return True
+    return "_" not in text

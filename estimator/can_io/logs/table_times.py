@@ -32,7 +32,7 @@ class SameTimes:
         t
             Times (n,) [s] that do not fall.
         values
-            Cells (n, k) in the units of their columns; one that is not finite has no value.
+            Cells (n, k) in the units of their columns; NaN is no value.
 
         Returns
         -------
@@ -43,7 +43,7 @@ class SameTimes:
         all_t, cells = np.concatenate([self._t, t]), np.concatenate([self._values, values])
         is_later = np.diff(all_t, prepend=-np.inf) > 0
         times, at = all_t[is_later], np.cumsum(is_later) - 1
-        column, row = np.nonzero(np.isfinite(cells).T)
+        column, row = np.nonzero(~np.isnan(cells).T)
         is_first = np.diff(column * len(times) + at[row], prepend=-1) > 0  # of its column and time
         joined = np.full((len(times), cells.shape[1]), np.nan)
         joined[at[row[is_first]], column[is_first]] = cells[row[is_first], column[is_first]]
