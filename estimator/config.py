@@ -3,7 +3,7 @@
 import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import reduce
 from hashlib import blake2b
 from importlib.resources import files
@@ -173,13 +173,22 @@ def check(config: Config) -> None:
             message, _, name = signal.partition(".")
             if not message or not name or "." in name:
                 raise ConfigError(f"signals.{role}: {signal!r} is not of the form MESSAGE.signal")
-    paths = {path for bound in config.binding.values() for path in ([bound] if isinstance(bound, str) else bound)}
-    bus: dict[str, Any] = msgspec.structs.asdict(config.bus)
-    for table, content in (("lake", lake), ("bus", bus)):
-        for key in ("units", "ranges", "states"):
-            for path in sorted(content.get(key, {}).keys() - paths):
-                guess = did_you_mean(path, paths) or f"; bound are {', '.join(sorted(paths))}"
-                raise ConfigError(f"{table}.{key}.{path}: no signal of that name is bound{guess}")
+    for key in ("units", "ranges"):
+        check_paths(f"lake.{key}", lake.get(key, {}), config.binding)
+
+
+def check_paths(key: str, given: Iterable[str], binding: Mapping[str, SignalPaths]) -> None:
+    """Refuse ``MESSAGE.signal`` that are ``given`` for a key, and that no role is bound to.
+
+    Raises
+    ------
+    ConfigError
+        The message names the key.
+    """
+    paths = {path for bound in binding.values() for path in ([bound] if isinstance(bound, str) else bound)}
+    for path in sorted(set(given) - paths):
+        guess = did_you_mean(path, paths) or f"; bound are {', '.join(sorted(paths))}"
+        raise ConfigError(f"{key}.{path}: no signal of that name is bound{guess}")
 
 
 def _check_mqtt(mqtt: Mqtt) -> None:

@@ -17,7 +17,7 @@ from estimator.can_io.frames import EXTENDED, JOINED_BYTES
 from estimator.can_io.j1939 import pgn_of
 from estimator.can_io.obd import is_answer
 from estimator.can_io.switch_states import SWITCHES, States, configured, states_of
-from estimator.config import Config
+from estimator.config import Config, check_paths
 from estimator.errors import ConfigError, DatabaseError
 from estimator.near_names import did_you_mean, nearest
 from estimator.roles import GRADES
@@ -133,8 +133,12 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     DatabaseError
         A message or signal is not in the database, or units are unknown or of the wrong kind.
     ConfigError
-        ``bus.match``, ``bus.source_addresses`` or ``bus.states`` does not fit a message or signal.
+        ``bus.match``, ``bus.source_addresses`` or ``bus.states`` does not fit a message or signal, or names of ``bus``
+        are not bound.
     """
+    bus = config.bus
+    for key, named in (("units", bus.units), ("ranges", bus.ranges), ("states", bus.states)):
+        check_paths(f"bus.{key}", named, config.binding)  # here, as those of a table are not in its file
     wanted: dict[str, list[BoundSignal]] = {}
     wrong_units: dict[str, str] = {}  # complaint by MESSAGE.signal
     remedies: dict[str, str] = {}

@@ -3,6 +3,7 @@
 import csv
 import gzip
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -143,6 +144,37 @@ def test_what_a_configuration_says_of_a_table_is_used(tmp_path: Path) -> None:
     (rows,) = made.pieces
     assert len(rows) == pytest.approx(n, abs=3)
     assert (rows.speed[50], rows.power[50]) == pytest.approx((20.0, 5e4))
+
+
+def test_what_a_warning_says_of_states_and_ranges_of_a_table_works(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same spelling as in the table of inputs; another one is refused with those that there are."""
+    columns = steady(1200, brake=[1.0] * 1200, v=[50.0 + i % 9 for i in range(1200)])
+    file, config = written_table(columns, tmp_path / "a.csv"), tmp_path / "a.toml"
+    table = '[table]\ncolumns = { speed = "v [km/h]", power = "P [kW]", brake_switch = "brake" }\n[bus]\n'
+
+    def inspected(line: str) -> Any:
+        config.write_text(table + line)
+        assert main(["inspect", str(file), "--config", str(config), "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    (warning,) = inspected("")["warnings"]
+    (line,) = re.findall(r"\[bus\] (states = .*)", warning)
+    assert line == 'states = { "brake_switch.brake" = [0] }'
+    answer = inspected(line)
+    assert (answer["warnings"], answer["inputs"]["brake_switch"]["maximum"]) == ([], 0.0)
+    assert inspected('units = { "engine_power.P" = "W" }')["inputs"]["engine_power"]["maximum"] == 50.0
+    answer = inspected('ranges = { "speed.v" = [0, 54] }')
+    assert answer["inputs"]["speed"]["maximum"] == pytest.approx(15.0)
+    assert 'write [bus] ranges = { "speed.v" = [lowest, highest] }' in answer["warnings"][0]
+    config.write_text(table + "states = { brake = [0] }")
+    said = "bus.states.brake: no signal of that name is bound; bound are brake_switch.brake, engine_power.P, speed.v"
+    assert said in refused(capsys, "inspect", file, "--config", config)
+    config.write_text('[bus]\nstates = { "brake_switch.brake" = [0] }')
+    arguments = ["--config", str(config), *MAP, "--map", "brake_switch=brake", "--json"]
+    assert main(["inspect", str(file), *arguments]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
 
 
 def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
