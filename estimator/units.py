@@ -105,7 +105,7 @@ _NAMES: dict[str, str] = {
 _WORDS: dict[str, str] = {
     form: sign for names, sign in _NAMES.items() for name in names.split() for form in (name, f"{name}s", name[:5])
 }
-_PREFIXES = {"kilo": "k", "hecto": "h", "centi": "c", "milli": "m", "mega": "M"}
+_PREFIXES = {"kilo": "k", "hecto": "h", "centi": "c", "milli": "m", "micro": "u", "nano": "n", "mega": "M"}
 _REPLACED = {  # also degree signs in wrong encodings
     "\N{MULTIPLICATION SIGN}": "*",
     "Â": "",

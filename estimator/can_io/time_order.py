@@ -15,12 +15,24 @@ from estimator.signals import Floats
 MAX_DELAY = 1.0  # s behind the latest time so far by which a frame may come
 MAX_TIME = 1e11  # s, the year 5138; a larger time is none
 MAX_HELD = 1 << 20  # frames; no bus carries as many within MAX_DELAY
+FINER_UNITS = {"milliseconds": 1_000, "microseconds": 1_000_000, "nanoseconds": 1_000_000_000}  # in a second
 NO_TIME = "time that is no number from 0 to 1e11 s"
 
 
 def is_time(t: float) -> bool:
     """True if ``t`` [s] can be the time of a frame."""
     return 0 <= t <= MAX_TIME
+
+
+def finer_unit(step: float, most: float, t: float = 0.0) -> str | None:
+    """The unit in which a ``step`` is no longer than ``most`` [s], and ``t`` can be a time, if seconds are too long."""
+    fitting = (unit for unit, n in FINER_UNITS.items() if step / n <= most and t / n <= MAX_TIME)
+    return next(fitting, None)
+
+
+def divided(unit: str) -> str:
+    """Advice for a log whose times may be in a finer unit."""
+    return f"if the times of the log are {unit}, divide them by {FINER_UNITS[unit]:,}"
 
 
 def latest_before(t: Floats, latest: float) -> Floats:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Collection, Mapping, Sequence, Set
 
 from estimator.can_io.binding import BoundMessage
+from estimator.can_io.time_order import divided, finer_unit
 from estimator.config import Config
 from estimator.settings import SignalPaths, Vehicle
 from estimator.signals import Role
@@ -14,7 +15,6 @@ SETTINGS = {  # that do instead of a signal
     Role.REFERENCE_TORQUE: "vehicle.reference_torque_Nm = ... (reference torque of the engine, SPN 544)",
     Role.PARASITIC_FRACTION: "vehicle.subtract_parasitic_losses = false",
 }
-FINER_UNITS = {"milliseconds": 1_000, "microseconds": 1_000_000, "nanoseconds": 1_000_000_000}  # in a second
 SLOWEST = 1.0  # s, between readings of speed or power on a bus
 
 
@@ -124,8 +124,8 @@ def too_seldom(name: str, interval: float, most: float) -> str:
     """Sentence on a signal whose ``interval`` exceeds ``most`` [s], with a unit of time that would fit; else empty."""
     if interval <= most:
         return ""
-    unit = next((unit for unit, factor in FINER_UNITS.items() if interval / factor <= SLOWEST), "")
-    change = f"if the times of the log are {unit}, divide them by {FINER_UNITS[unit]:,}" if unit else "record it faster"
+    unit = finer_unit(interval, SLOWEST)
+    change = divided(unit) if unit else "record it faster"
     return (
         f"{name} comes every {interval:.3g} s, too seldom to see how it changes (every {most:g} s at least); {change}"
     )

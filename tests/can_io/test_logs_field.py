@@ -222,6 +222,15 @@ def test_differences_in_time_are_told(tmp_path: Path) -> None:
     assert "candump -td" in message
 
 
+@pytest.mark.parametrize(("power", "unit"), [(3, "milliseconds"), (6, "microseconds")])
+def test_an_epoch_in_a_finer_unit_is_named(power: int, unit: str) -> None:
+    t = (1_767_600_000.0 + np.arange(2000.0)) * 10**power
+    n = len(t)
+    frames = Frames(t, np.zeros(n, np.uint32), np.full(n, 8, np.uint8), np.zeros((n, 8), np.uint8))
+    with pytest.raises(LogError, match=f"if the times of the log are {unit}, divide them by"):
+        TimeCheck(Path("a.csv")).check(frames)
+
+
 def test_times_in_microseconds_are_named() -> None:
     rng = np.random.default_rng(1)
     t = np.cumsum(rng.uniform(0.0, 0.006, 2000))

@@ -398,6 +398,71 @@ def test_a_fleet_of_tables_without_a_column_is_refused(tmp_path: Path, capsys: p
     assert "none of 1 log can be used" in nothing
 
 
+EPOCH = 1_767_600_000  # s, of a day in 2026
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "said"),
+    [
+        (0, 100, 'has a row every 100 s; {}; if its times are milliseconds, say so: --map time="t [milliseconds]"'),
+        (EPOCH * 10**3, 100, 'a row every 100 s; {}; if its times are milliseconds, say so: --map time="t [millisec'),
+        (EPOCH * 10**3, 1, 'has times up to 1.77e+12 s; {}; if its times are milliseconds, say so: --map time="t [mi'),
+        (EPOCH * 10**6, 10**5, 'a row every 1e+05 s; {}; if its times are microseconds, say so: --map time="t [micro'),
+        (EPOCH * 10**6, 10**3, 'a row every 1e+03 s; {}; if its times are microseconds, say so: --map time="t [micro'),
+        (EPOCH * 10**9, 10**8, 'a row every 1e+08 s; {}; if its times are nanoseconds, say so: --map time="t [nano'),
+    ],
+)
+def test_times_in_a_finer_unit_get_the_line_that_reads_them(
+    start: int, step: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = written_table(steady(t=[start + step * i for i in range(200)]), tmp_path / "a.csv")
+    line = refused(capsys, "inspect", file, *MAP[:4])
+    reason = "the mass follows from changes of speed within a second or two, so give rows of 2 s or less"
+    assert said.format(reason) in line
+    (time,) = re.findall(r'--map (time="[^"]*")', line)
+    assert main(["inspect", str(file), *MAP[:4], "--map", time.replace('"', "")]) == 0
+
+
+def test_one_of_several_columns_of_times_has_to_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = written_table({"seconds": [i // 10 for i in range(200)], **steady()}, tmp_path / "a.csv")
+    line = refused(capsys, "inspect", file, *MAP[:4])
+    assert "'seconds' and 't' may each be the times; name one of them: --map time=\"COLUMN [s]\"" in line
+    assert main(["inspect", str(file), *MAP]) == 0
+
+
+@pytest.mark.parametrize("is_number", [False, True])
+def test_columns_of_dates_and_times_of_day_are_joined(
+    is_number: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Over midnight; a number beside the date may be seconds, or hours, minutes and seconds in one."""
+    start = np.datetime64("2026-05-04T23:59:50")
+    whole = [str(start + np.timedelta64(100 * i, "ms")).split("T") for i in range(200)]
+    columns = {key: cells for key, cells in steady().items() if key != "t"}
+    times = [i / 10 if is_number else time for i, (_, time) in enumerate(whole)]
+    columns = {"Time": times, "Date": [date for date, _ in whole], **columns}
+    file = written_table(columns, tmp_path / "a.csv")
+    if is_number:
+        assert "'Date' and 'Time' may each be the times; name" in refused(capsys, "inspect", file, *MAP[:4])
+    else:
+        (rows,) = read(file, columns=RATES).pieces
+        assert rows.t[0] == pytest.approx(start.astype(float), abs=2 * STEP)
+        assert rows.t[-1] - rows.t[0] == pytest.approx(19.9, abs=2 * STEP)
+
+
+def test_time_differences_are_times_and_truth_values_with_gaps_are_states(tmp_path: Path) -> None:
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    brake = [None if i % 2 else i >= 100 for i in range(200)]
+    columns = steady(brake=brake, t=np.arange(200) * np.timedelta64(100, "ms"))
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    written_table({**columns, "t": steady()["t"]}, tmp_path / "a.csv")
+    for file in (tmp_path / "a.parquet", tmp_path / "a.csv"):
+        (rows,) = read(file, columns={**RATES, "brake_switch": "brake"}).pieces
+        assert rows.t[-1] - rows.t[0] == pytest.approx(19.9, abs=2 * STEP)
+        assert rows.context[Role.BRAKE_SWITCH][[20, 180]].tolist() == [0.0, 1.0]
+    with pytest.raises(LogError, match="row 1, column 'brake': 'False' is no number"):
+        read(tmp_path / "a.csv", columns={"speed": "brake [km/h]", "power": "P [kW]"})
+
+
 RATES = {"speed": "v [km/h]", "power": "P [kW]"}
 
 

@@ -68,6 +68,18 @@ def test_signals_of_an_mf4_file_are_read(tmp_path: Path) -> None:
             rows_of(tmp_path / "drive.mf4", {**columns, "power": "P [W]"})
 
 
+@pytest.mark.slow
+def test_times_of_channels_are_no_columns_whatever_they_are_called(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    t = np.arange(300) / 10
+    with asammdf.MDF(version="4.10") as file:
+        for name in ("v", "P"):
+            signal = asammdf.Signal(np.full(300, 50.0), t, name=name, master_metadata=("t", 1))
+            file.append([signal])
+        file.save(tmp_path / "a.mf4")
+    assert rows_of(tmp_path / "a.mf4", {"speed": "v [m/s]", "power": "P [W]"}).speed[50] == 50.0
+
+
 def test_a_row_between_two_laps_that_repeats_its_time_is_left_out_and_counted(tmp_path: Path) -> None:
     points = list(ride())
     points.insert(100, points[99])

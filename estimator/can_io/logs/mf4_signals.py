@@ -57,7 +57,9 @@ def read(path: Path, wanted: Wanted) -> Answer:
     inner: Any = {"original_name": str(path), "__internal__": True}  # as asammdf.MDF itself opens it
     with path.open("rb") as stream, closing(MDF4(stream, **inner)) as file:
         series, units = dict[str, Series](), {TIME: "s"}
-        chosen = sorted(wanted(list(file.channels_db)) & set(file.channels_db) - {TIME})
+        masters = {file.groups[group].channels[master].name for group, master in file.masters_db.items()}
+        names = [name for name in file.channels_db if name not in masters]
+        chosen = sorted(wanted(names) & set(names) - {TIME})
         for name in chosen:
             if (count := len(file.channels_db[name])) > 1:
                 raise LogError(f"has the channel {name!r} {count} times; export the one you mean")
@@ -67,7 +69,7 @@ def read(path: Path, wanted: Wanted) -> Answer:
                 raise LogError(f"the channel {name!r} has no times; export it with them")
             signal: Any = file.get(name)
             series[name], units[name] = _series(name, signal), str(signal.unit)
-        return list(file.channels_db), series, units
+        return names, series, units
 
 
 def _series(name: str, signal: Any) -> Series:

@@ -32,9 +32,10 @@ from estimator.can_io.table_columns import (
     seconds_in,
     split_unit,
 )
+from estimator.can_io.time_order import MAX_TIME, finer_unit
 from estimator.errors import LogError
 from estimator.settings import Table
-from estimator.signals import Floats, Role
+from estimator.signals import DIMENSION, STATE, Floats, Role
 from estimator.units import conversion_of
 
 Reader = Callable[[Path, Wanted], Iterator[Piece]]
@@ -52,7 +53,8 @@ READERS: dict[str, Reader] = {
 }
 SUFFIXES = tuple(READERS)
 TIMES = ("time", "t", "timestamp", "seconds", "secs", "elapsed", "time_s", "t_s", "date", "datetime")
-NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
+NOTHING = dict.fromkeys(("", "nan", "null", "none", "na", "n/a", "-"), float("nan"))
+STATES = {**NOTHING, "true": 1.0, "false": 0.0}
 MAX_STEP = 2.0  # s between rows in the median: slower ones show no change of speed that a force made
 SAME_TIME = "row with a second value at its time"
 SHORT = "row with fewer cells than names"
@@ -121,10 +123,12 @@ def table_frames(
         names the row.
     """
     columns = columns_of(table)
-    previous, row, steps, is_judged, rows = -np.inf, 1, list[Floats](), False, SameTimes(len(columns))
+    previous, row, rows, name = -np.inf, 1, SameTimes(len(columns)), ""
+    steps, held, is_judged = list[Floats](), list[Frames](), False
     for piece in pieces:
         check_units(source, table, piece.cells, piece.units)
-        t, values = _times(source, table, piece.cells, row), _values(source, columns, piece.cells, row)
+        name, unit, cells = _time_cells(source, table, piece.cells)
+        t, values = _times(source, name, unit, cells, row), _values(source, columns, piece.cells, row)
         whole = np.delete(np.arange(len(t)), piece.short)
         numbers, row = row + whole, row + len(t)
         t, values = t[whole], values[whole]
@@ -132,13 +136,15 @@ def table_frames(
         previous = float(t[-1]) if len(t) else previous
         if skipped is not None and piece.short:
             skipped[SHORT] += len(piece.short)
+        held.append(_frames(columns, *rows.feed(t, values)))
         if not is_judged:
             steps.append(later)
             is_judged = row > ROWS
             if is_judged:
-                _check_rate(source, steps)  # before hours of rows are processed that come too seldom
-        yield _frames(columns, *rows.feed(t, values))
-    yield _frames(columns, *rows.finish())
+                _check_rate(source, name, steps, previous)  # before hours of rows are processed in vain
+        if is_judged:
+            yield from held
+            held.clear()
     if skipped is not None and rows.refused:
         skipped[SAME_TIME] += rows.refused
     if rows.refused >= max(rows.times, 1):
@@ -147,34 +153,51 @@ def table_frames(
             "column with fractions of seconds"
         )
     if not is_judged:
-        _check_rate(source, steps)
+        _check_rate(source, name, steps, previous)
+    yield from held
+    yield _frames(columns, *rows.finish())
 
 
-def _check_rate(source: str, steps: Sequence[Floats]) -> None:
-    """Refuse rows whose steps of time [s] are too long in the median."""
+def _check_rate(source: str, name: str, steps: Sequence[Floats], latest: float) -> None:
+    """Refuse rows whose steps of time [s] are too long in the median, or whose ``latest`` time is none."""
     step = float(np.median(np.concatenate([[0.0], *steps])))
-    if step > MAX_STEP:
-        raise LogError(
-            f"{source}: has a row every {step:.3g} s; the mass follows from changes of speed within a second or two, "
-            f"so give rows of {MAX_STEP:.0f} s or less, or another unit of the times"
-        )
+    if step <= MAX_STEP and latest <= MAX_TIME:
+        return
+    wrong = f"has a row every {step:.3g} s" if step > MAX_STEP else f"has times up to {latest:.3g} s"
+    unit = finer_unit(step, MAX_STEP, latest)
+    finer = f'; if its times are {unit}, say so: --map time="{split_unit(name)[0]} [{unit}]"' if unit else ""
+    raise LogError(
+        f"{source}: {wrong}; the mass follows from changes of speed within a second or two, so give rows of "
+        f"{MAX_STEP:.0f} s or less{finer}"
+    )
 
 
-def _times(source: str, table: Table, piece: Mapping[str, Any], row: int) -> Floats:
-    """Times [s] (n,) of the rows."""
-    if table.time is None:
-        name, unit = next((column for column in piece if column.lower() in TIMES), None), None
-    else:
+def _time_cells(source: str, table: Table, piece: Mapping[str, Any]) -> tuple[str, str | None, NDArray[Any]]:
+    """Name, unit and cells (n,) of the times; a column of dates and one of times of day are joined."""
+    guesses = sorted((column for column in piece if column.lower() in TIMES), key=str.lower)
+    if table.time is not None:
         name, unit = name_in(piece, table.time), split_unit(table.time)[1]
-    if name is None or name not in piece:
+    elif len(guesses) > 1:
+        parts = [np.asarray(piece[column]).astype(str).tolist() for column in guesses]
+        if [column.lower() for column in guesses] != ["date", "time"] or all(map(is_number, parts[1])):
+            names = " and ".join(map(repr, guesses))
+            raise LogError(f'{source}: {names} may each be the times; name one of them: --map time="COLUMN [s]"')
+        return guesses[1], None, np.array([" ".join(cells) for cells in zip(*parts, strict=True)])
+    else:
+        name, unit = next(iter(guesses), ""), None
+    if name not in piece:
         wanted = f"column {name!r}" if name else f"column of times ({', '.join(TIMES[:4])} ...)"
         raise LogError(f'{source}: has no {wanted}; name it: --map time="COLUMN [s]"; there are {_listed(piece)}')
+    return name, unit, np.asarray(piece[name])
+
+
+def _times(source: str, name: str, unit: str | None, cells: NDArray[Any], row: int) -> Floats:
+    """Times [s] (n,) of the rows."""
     factor = 1.0 if unit is None else seconds_in(unit)
     if factor is None:
         raise LogError(f"{source}: the unit {unit!r} of the times is not known; write one of {' '.join(TIME_UNITS)}")
-    cells = np.asarray(piece[name])
-    if cells.dtype.kind == "M":
-        return np.where(np.isnat(cells), np.nan, cells.astype("datetime64[ns]").astype(np.int64) / 1e9)
+    if cells.dtype.kind in "mM":
+        return np.where(np.isnat(cells), np.nan, cells.astype(f"{cells.dtype.kind}8[ns]").astype(np.int64) / 1e9)
     texts = (str(cell).strip() for cell in cells.tolist()) if cells.dtype.kind in "OUS" else ()
     if not is_number(next((text for text in texts if text.lower() not in NOTHING), "0")):
         return np.array([_date(source, str(cell), row + i) for i, cell in enumerate(cells.tolist())])
@@ -203,8 +226,8 @@ def _steps(source: str, t: Floats, previous: float, numbers: NDArray[np.intp]) -
         i = back[0]
         last = t[i - 1] if i else previous
         raise LogError(
-            f"{source}: row {numbers[i]}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or give each "
-            "drive as a table of its own"
+            f"{source}: row {numbers[i]}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or "
+            "give each drive as a table of its own"
         )
     return steps[(steps > 0) & np.isfinite(steps)]
 
@@ -215,11 +238,13 @@ def _values(source: str, columns: Sequence[Column], piece: Mapping[str, Any], ro
     for name in names:
         if name not in piece:
             raise LogError(f"{source}: has no column {name!r}; there are {_listed(piece)}")
-    return np.column_stack([_numbers(source, name, piece[name], row) for name in names])
+    known = [STATES if DIMENSION[column.role] == STATE else NOTHING for column in columns]
+    cells = [(name, piece[name]) for name in names]
+    return np.column_stack([_numbers(source, *of, row, texts) for of, texts in zip(cells, known, strict=True)])
 
 
-def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
-    """Convert cells (n,) to numbers."""
+def _numbers(source: str, name: str, cells: Any, row: int, known: Mapping[str, float] = NOTHING) -> Floats:
+    """Convert cells (n,) to numbers; ``known`` are the texts that are numbers, or none."""
     given = np.asarray(cells)
     if given.ndim > 1:
         raise LogError(f"{source}: column {name!r} holds {given.shape[1]} values a row; give one column for each")
@@ -229,9 +254,9 @@ def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
     try:
         if "_" in "".join(texts):  # which only Python has in numbers
             raise ValueError
-        return np.array([np.nan if text.lower() in NOTHING else float(text) for text in texts])
+        return np.array([known[low] if (low := text.lower()) in known else float(text) for text in texts])
     except ValueError:
-        i = next(i for i, text in enumerate(texts) if text.lower() not in NOTHING and not is_number(text))
+        i = next(i for i, text in enumerate(texts) if text.lower() not in known and not is_number(text))
         cell = f"row {row + i}, column {name!r}: {texts[i][:40]!r}"
         raise LogError(f"{source}: {cell} is no number; correct it, or leave the cell empty") from None
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.time_order import MAX_DELAY, MAX_TIME, latest_before
+from estimator.can_io.time_order import MAX_DELAY, MAX_TIME, divided, finer_unit, latest_before
 from estimator.errors import LogError
 from estimator.signals import Floats
 
@@ -48,17 +48,11 @@ class TimeCheck:
         """
         t = frames.t
         self._count(float(t[-1]), len(t))
+        self._check_range(t)
         self._check_unit(t)
-        if max(self._latest, 0.0) <= t[0] and t[-1] <= MAX_TIME and (t[1:] >= t[:-1]).all():  # the rule
+        if self._latest <= t[0] and (t[1:] >= t[:-1]).all():  # the rule
             self._latest, self._seen, self._rising = float(t[-1]), self._seen + len(frames), self._rising + len(frames)
             return
-        bad = np.flatnonzero(~((frames.t >= 0) & (frames.t <= MAX_TIME)))
-        if len(bad):
-            i = int(bad[0])
-            raise LogError(
-                f"{self._path}: frame {self._seen + i + 1} has the time {frames.t[i]:g} s; "
-                f"times must be numbers from 0 to {MAX_TIME:g}: remove or correct that frame"
-            )
         first = 0
         while first < len(frames):
             t = frames.t[first:]
@@ -99,6 +93,17 @@ class TimeCheck:
                 f"{self._path}: {self._in_span:,} frames up to frame {self._seen + count:,} within {SPAN:g} s, "
                 "which no bus carries; give a log whose times are right"
             )
+
+    def _check_range(self, t: Floats) -> None:
+        """Refuse times (n,) that are none; if the first one is too large, all are in a finer unit than seconds."""
+        if t.min() >= 0 and t.max() <= MAX_TIME:
+            return
+        i = int(np.flatnonzero(~((t >= 0) & (t <= MAX_TIME)))[0])
+        unit = finer_unit(0.0, 0.0, float(t[0])) if self._seen + i == 0 else None
+        raise LogError(
+            f"{self._path}: frame {self._seen + i + 1} has the time {t[i]:g} s; times must be numbers from 0 to "
+            f"{MAX_TIME:g}: {divided(unit) if unit else 'remove or correct that frame'}"
+        )
 
     def _check_unit(self, t: Floats) -> None:
         """Check times (n,) [s] for a finer unit than seconds."""
