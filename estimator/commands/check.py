@@ -15,7 +15,7 @@ from estimator.can_io.binding import load_database
 from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.frames import Frames
 from estimator.commands.arguments import add_output, add_print_config, add_settings, number
-from estimator.commands.log_options import complain_of_channels, complain_of_databases
+from estimator.commands.log_options import add_map, complain_of_channels, complain_of_databases, table_of
 from estimator.commands.tables import print_binding, print_inspection
 from estimator.commands.terminal import print_config, print_json, say, standard_output
 from estimator.config import Config
@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "log", nargs="?", type=Path, metavar="LOG", help="a log; without one, the bus is read if one is named"
     )
+    add_map(parser)
     can.cli.add_bus_arguments(parser, group_title="bus")
     parser.add_argument("--seconds", type=SECONDS, default=10.0, help="how long to read the bus (default: 10)")
     add_print_config(parser)
@@ -47,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Inspect the log or the bus, or the configuration alone; exit status 0 if an estimate can come of it."""
     settings = settle(options.config, options.dbc, options)
+    settings = config.replace(settings, table=table_of(settings.table, options.map))
     messages = bound_messages(settings)
     named(settings.effects)
     if options.print_config:

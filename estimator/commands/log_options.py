@@ -61,7 +61,7 @@ def add_map(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--map", action="append", default=[], metavar='ROLE="COLUMN [unit]"', help=text)
 
 
-def _table(given: Table | None, mappings: Sequence[str]) -> Table | None:
+def table_of(given: Table | None, mappings: Sequence[str]) -> Table | None:
     """The table of the configuration, with the columns of --map."""
     if not mappings:
         return given
@@ -120,7 +120,7 @@ def settings(options: argparse.Namespace) -> Config:
     if getattr(options, "channels", None):
         found = config.replace(found, bus=msgspec.structs.replace(found.bus, channels=options.channels))
     if getattr(options, "map", None):
-        found = config.replace(found, table=_table(found.table, options.map))
+        found = config.replace(found, table=table_of(found.table, options.map))
     if getattr(options, "effect", None):
         found = msgspec.structs.replace(found, effects=[*found.effects, *options.effect])
     if getattr(options, "seed", None) is not None:

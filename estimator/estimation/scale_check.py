@@ -151,7 +151,7 @@ class ScaleCheck:
         if motion.fastest > MAX_SPEED:
             factor = motion.fastest / MAX_SPEED
             return (
-                f"{speed} says {3.6 * motion.fastest:.0f} km/h: it reads at least {factor:.2g} times too large, "
+                f"{speed} says {3.6 * motion.fastest:.0f} km/h: it reads at least {_excess(factor)} too large, "
                 "check its unit"
             )
         if motion.gearing is not None and not MIN_GEARING < motion.gearing < MAX_GEARING:
@@ -159,14 +159,14 @@ class ScaleCheck:
             large = "large" if motion.gearing < MIN_GEARING else "small"
             return (
                 f"the engine turns {motion.gearing:.3g} rad per metre, in no vehicle less than {MIN_GEARING:g} or more "
-                f"than {MAX_GEARING:g}: {speed} reads at least {factor:.2g} times too {large}, "
+                f"than {MAX_GEARING:g}: {speed} reads at least {_excess(factor)} too {large}, "
                 f"or engine_speed{self._name(Role.ENGINE_SPEED)} is in another unit"
             )
         change = self._changes.quantile(1 - MAX_BEYOND_GRIP) if len(self._changes) >= MIN_LIMIT_ROWS else 0.0
         if change > MAX_GRIP:
             return (
                 f"{speed} changes by {change:.3g} m/s in a second, tyres grip for {MAX_GRIP:g}: it reads at least "
-                f"{change / MAX_GRIP:.2g} times too large, check its unit"
+                f"{_excess(change / MAX_GRIP)} too large, check its unit"
             )
         return ""
 
@@ -207,6 +207,11 @@ class ScaleCheck:
         self._gearing.restore(substate(state, "gearing"))
         self._walking.restore(substate(state, "walking"))
         self._felt = array(state, "felt", (3,))
+
+
+def _excess(factor: float) -> str:
+    """A factor above 1 in words; a small one as a share, as it would be rounded to 1."""
+    return f"{factor:.2g} times" if factor >= 1.1 else f"{100 * (factor - 1):.1g} %"
 
 
 def remedy(ratio: float, what: str = "its unit") -> str:

@@ -274,8 +274,27 @@ def test_a_decoded_table_is_no_log_and_the_message_shows_the_options() -> None:
     path = LOGS / "decoded.csv"
     assert refusal(path) == (
         f"{path}: a table of decoded values, not a log of frames (its columns: 'time,speed_kmh,power_kw,altitude_m'); "
-        'give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+        'give its columns to estimate, inspect, check, diagnose or fleet: --map speed="COLUMN [km/h]" '
+        '--map power="COLUMN [kW]"'
     )
+
+
+FRAME = "1767600000.01,0xcf00400,1,0,0,8,P/+BwBL///8="
+PYTHON_CAN = "timestamp,arbitration_id,extended,remote,error,dlc,data"
+
+
+@pytest.mark.parametrize(
+    ("name", "lines", "said"),
+    [
+        ("a.csv", [PYTHON_CAN.replace(",", ";"), FRAME.replace(",", ";")], "a log of frames without commas between"),
+        ("a.csv", [FRAME, FRAME], f"begins with a frame; put the header '{PYTHON_CAN}' above it"),
+        ("a.csv", ["166064000,18FEF100,true,Rx,0,2,F3,00,"], "begins with a frame; put the header 'Time Stamp,ID,"),
+        ("a.asc", [PYTHON_CAN, FRAME], "begins as a .csv file does; rename it to a.csv"),
+        ("a.asc", ["t,v,P", "0,1,2"], "begins as a .csv file does; rename it to a.csv"),
+    ],
+)
+def test_a_log_in_other_columns_is_told_from_a_table(name: str, lines: list[str], said: str, tmp_path: Path) -> None:
+    assert said in refusal(written(tmp_path / name, "\n".join(lines) + "\n"))
 
 
 def test_a_trace_of_another_program_is_told_from_one_of_pcan_view(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 """Tables of measurements: what they give, against the log of the same drive, and what is refused in one line."""
 
 import csv
+import errno
 import gzip
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -254,6 +256,35 @@ def test_a_cell_that_is_infinite_and_a_row_that_is_short_are_counted(
 
 def test_commas_beside_decimal_points_are_not_taken_for_decimal_commas(tmp_path: Path) -> None:
     assert columns_read("t\tn\n0.1\t1,234\n", tmp_path / "a.tsv") == {"t": ["0.1"], "n": ["1,234"]}
+
+
+def test_a_point_of_thousands_is_refused_where_it_stands(tmp_path: Path) -> None:
+    """The commas of all other rows were refused, from the first one on; with a comma behind it, its text changed."""
+    rows = [f"{i},0;950,5\n" for i in range(9)]
+    rows[4] = "4,0;1.050\n"
+    with pytest.raises(LogError, match=r"row 5: '1\.050' has a point beside decimal commas; write it without"):
+        columns_read("t;P\n" + "".join(rows), tmp_path / "a.csv")
+    rows[4] = "4,0;1.050,5\n"
+    assert columns_read("t;P\n" + "".join(rows), tmp_path / "a.csv")["P"][3:6] == ["950.5", "1.050,5", "950.5"]
+
+
+def test_a_table_that_must_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = written_table(steady(), tmp_path / "a.csv")
+
+    def refuse(self: Path, *_: object) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(LogError, match=r"a\.csv: cannot be read \(Permission denied\); check its permissions"):
+        read(file, columns=RATES)
+
+
+def test_check_takes_the_columns_of_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = written_table(steady(1200), tmp_path / "a.csv")
+    advice = refused(capsys, "check", file)
+    assert "give its columns to estimate, inspect, check, diagnose or fleet: --map " in advice
+    assert main(["check", str(file), *MAP]) == 0
+    assert "the model can be fed" in capsys.readouterr().out
 
 
 def test_a_quote_that_is_not_closed_does_not_hide_the_rows_after_it(tmp_path: Path) -> None:
@@ -586,7 +617,7 @@ def test_a_table_that_is_given_as_a_log_leads_to_map(
     """An unknown suffix may be one of a log too, and so may .txt."""
     (tmp_path / f"a{suffix}").write_bytes(b"t;v;P\n0;72;50\n")
     line = refused(capsys, "estimate", tmp_path / f"a{suffix}")
-    assert line.endswith('give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"')
+    assert line.endswith('fleet: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"')
     assert ("unknown log format" in line) == (suffix in {".txt", ".xlsx"})
 
 

@@ -14,7 +14,7 @@ from estimator.commands.status_table import _print_estimate
 from estimator.config import Config, from_dict
 from estimator.estimates import Coverage, Estimate, Status
 from estimator.estimation.log_counts import LogCounts
-from estimator.estimation.scale_check import Motion, ScaleCheck
+from estimator.estimation.scale_check import MAX_GEARING, MIN_GEARING, Motion, ScaleCheck
 from estimator.estimation.usual_vehicles import Doubt, Size, unusual
 from estimator.report import summary
 from estimator.samples import STEP, Rows
@@ -89,6 +89,14 @@ def test_limits_of_all_vehicles_are_named_with_the_least_factor():
     geared = checked(rows_of(12.3 / 3, engine_speed=lambda v: 5.4 * v))
     assert "ENGINE.Speed" in geared.verdict()
     assert "1.3" in geared.verdict()
+
+
+def test_a_limit_that_is_just_exceeded_is_said_as_a_share():
+    """ "1 times too large" says nothing."""
+    geared = checked(rows_of(1.0, engine_speed=lambda v: MIN_GEARING / 1.03 * v)).verdict()
+    assert re.search("reads at least [2-5] % too large", geared)
+    geared = checked(rows_of(1.0, engine_speed=lambda v: 1.03 * MAX_GEARING * v)).verdict()
+    assert re.search("reads at least [2-5] % too small", geared)
 
 
 def test_one_gear_is_told_from_several():

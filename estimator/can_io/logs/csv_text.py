@@ -9,7 +9,15 @@ import can
 from estimator.can_io.frames import CLASSIC_BYTES
 from estimator.can_io.logs import gvret_line, mdf2csv_line
 from estimator.can_io.logs.csv_columns import read_usual
-from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Coding, Layout, shown
+from estimator.can_io.logs.line_layout import (
+    MAX_EXTENDED_ID,
+    MAX_STANDARD_ID,
+    NOTHING,
+    BadLineError,
+    Coding,
+    Layout,
+    shown,
+)
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Grammar, Lines
 from estimator.can_io.logs.log import GIVE_COLUMNS
@@ -42,13 +50,15 @@ class CsvLog(LineLog):
 
     def _grammar_below(self, header: bytes) -> Grammar:
         """Grammar of the lines below a header."""
-        if header == HEADER:
-            self.usual = read_usual
-            return layout
-        if gvret_line.HEADER.fullmatch(header):
-            return gvret_line.layout
-        if frame := mdf2csv_line.pattern(header):
-            return partial(mdf2csv_line.layout, frame=frame)
+        if grammar := _grammar_of(header):
+            self.usual = read_usual if grammar is layout else None
+            return grammar
+        commas = header.replace(b";", b",").replace(b"\t", b",")
+        if _grammar_of(commas):
+            raise LogError(f"{self.path}: a log of frames without commas between its columns; export it with commas")
+        for kind, parse in GRAMMARS.items():
+            if _is_frame(parse, commas):
+                raise LogError(f"{self.path}: begins with a frame; put the header {kind!r} above it")
         if TABLE.fullmatch(header):
             raise LogError(decoded_table(self.path, header))
         error = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(header)}"
@@ -67,6 +77,23 @@ class CsvLog(LineLog):
     def _unread(self, line: str) -> None:
         if line.encode().strip() != HEADER:
             super()._unread(line)
+
+
+def _is_frame(parse: Grammar, line: bytes) -> bool:
+    try:
+        return parse(line) not in (None, NOTHING)
+    except BadLineError:
+        return False
+
+
+def _grammar_of(header: bytes) -> Grammar | None:
+    """Grammar of the lines below the header of a known log."""
+    if header == HEADER:
+        return layout
+    if gvret_line.HEADER.fullmatch(header):
+        return gvret_line.layout
+    frame = mdf2csv_line.pattern(header)
+    return frame and partial(mdf2csv_line.layout, frame=frame)
 
 
 def decoded_table(path: Path, header: bytes = b"") -> str:
@@ -99,3 +126,9 @@ def layout(line: bytes) -> Layout | None:
         largest=largest,
         coding=Coding.BASE64,
     )
+
+
+GRAMMARS: dict[str, Grammar] = {  # of lines, by their header
+    HEADER.decode(): layout,
+    "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8": gvret_line.layout,
+}

@@ -19,7 +19,10 @@ BATCH = 131_072  # frames, the most in one batch: decoding one takes 1.6 ms and 
 
 ERROR_FRAME = "error frame"
 REMOTE_FRAME = "remote frame"
-GIVE_COLUMNS = 'give its columns: --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'  # of a table that is no log
+GIVE_COLUMNS = (  # of a table that is no log
+    'give its columns to estimate, inspect, check, diagnose or fleet: --map speed="COLUMN [km/h]" '
+    '--map power="COLUMN [kW]"'
+)
 
 
 class Log(ABC):
@@ -101,6 +104,31 @@ class Log(ABC):
         except (OSError, EOFError, zlib.error) as error:  # the disk, or a gzip file that is cut or damaged
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             raise LogError(f"{self.path}: cannot be read on ({reason}); copy or unpack it anew") from error
+
+
+def start_of(path: Path, size: int) -> bytes:
+    """The first bytes of a file, at most ``size``.
+
+    Raises
+    ------
+    LogError
+        There is no such file, or it cannot be read, or is empty.
+    """
+    try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise LogError(f"{path}: is no file but a pipe or a device; write the log to a file")
+        if path.is_dir():
+            next(path.iterdir(), None)  # raises where the folder must not be read
+            raise LogError(f"{path}: is a folder; give a file in it")
+        with path.open("rb") as file:
+            start = file.read(size)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise LogError(f"{path}: no such file; check the path") from error
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    if not start:
+        raise LogError(f"{path}: is empty; give another file")
+    return start
 
 
 def regroup(parts: Iterable[Frames], size: int) -> Iterator[Frames]:

@@ -16,7 +16,7 @@ from estimator.can_io.logs.crtd import CrtdLog
 from estimator.can_io.logs.crtd import layout as crtd_layout
 from estimator.can_io.logs.csv_text import CsvLog, decoded_table
 from estimator.can_io.logs.line_layout import NOTHING, BadLineError, Layout
-from estimator.can_io.logs.log import GIVE_COLUMNS, Log
+from estimator.can_io.logs.log import GIVE_COLUMNS, Log, start_of
 from estimator.can_io.logs.mf4 import Mf4Log
 from estimator.can_io.logs.table import SUFFIXES
 from estimator.can_io.logs.trc import TrcLog
@@ -46,6 +46,7 @@ STARTS = {  # what files of a format begin with
     ".mf4": rb"MDF |UnFinMF",
     ".asc": rb"date [^,;\r\n]*\r?\nbase (hex|dec)",
     ".trc": rb";\$FILEVERSION",
+    ".csv": rb"(\xef\xbb\xbf)?(?!date |base |//)[A-Za-z][^\x00-\x1f,;]*([,;\t][^\x00-\x1f,;]*){2,}\r?\n",
 }
 
 
@@ -70,20 +71,7 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
         The file does not exist, cannot be read, is empty, or has an unknown format.
     """
     path = Path(path)
-    try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise LogError(f"{path}: is no file but a pipe or a device; write the log to a file")
-        if path.is_dir():
-            next(path.iterdir(), None)  # raises where the folder must not be read
-            raise LogError(f"{path}: is a folder; give a log file in it")
-        with path.open("rb") as file:
-            start = file.read(MAX_LINE)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise LogError(f"{path}: no such file; check the path") from error
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    if not start:
-        raise LogError(f"{path}: is empty; give another log")
+    start = start_of(path, MAX_LINE)
     name = path.name.lower()
     reader = next((log for suffix, log in FORMATS.items() if name.endswith(suffix)), None)
     suffix = _suffix_by_start(start)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, Frames
 from estimator.can_io.logs import table_activity, table_mf4, table_parquet, table_text
-from estimator.can_io.logs.log import Log
+from estimator.can_io.logs.log import Log, start_of
 from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
 from estimator.can_io.logs.table_text import is_number
 from estimator.can_io.logs.table_times import SameTimes
@@ -68,9 +68,7 @@ class TableLog(Log):
     def __init__(self, path: Path, table: Table) -> None:
         super().__init__(path)
         self._table = table
-        if not path.is_file():
-            problem = "is a folder; give the files in it" if path.is_dir() else "no such file; check the path"
-            raise LogError(f"{path}: {problem}")
+        start_of(path, 1)
         if not path.name.lower().endswith(SUFFIXES):
             raise LogError(
                 f"{path}: is no table that can be read ({', '.join(SUFFIXES)}); export it as one of them, or, for a "

@@ -40,7 +40,7 @@ def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
             places = {name: i for i, name in enumerate(heading) if name in chosen}
             reader = _whole_rows(path, text, delimiter, len(heading))
             short = list[int]()  # numbers of rows, from 0
-            rows = _with_points(_cells(path, len(heading), list(places.values()), reader, short), delimiter)
+            rows = _with_points(path, _cells(path, len(heading), list(places.values()), reader, short), delimiter)
             done = 0
             while part := list(islice(rows, ROWS)):
                 cells = dict(zip(places, zip(*part, strict=True), strict=True))
@@ -98,15 +98,20 @@ def _cells(
         yield [row[i] for i in places]
 
 
-def _with_points(rows: Iterator[list[str]], delimiter: str) -> Iterator[list[str]]:
-    """The rows, with points for decimal commas.
+def _with_points(path: Path, rows: Iterator[list[str]], delimiter: str) -> Iterator[list[str]]:
+    """The rows, with points for decimal commas: where the first ROWS rows have more of these than of points.
 
-    Where the first ROWS rows have a number with a point, commas are not taken for decimal ones.
+    A point in a number beside them, as of thousands, is refused.
     """
     first = list(islice(rows, ROWS))
-    has_points = delimiter == "," or any("." in cell and is_number(cell) for row in first for cell in row)
-    for row in chain(first, rows):
-        yield row if has_points else [cell.replace(",", ".") for cell in row]
+    with_point, with_comma = (
+        sum(sign in cell and is_number(cell.replace(sign, ".")) for row in first for cell in row) for sign in ".,"
+    )
+    has_points = delimiter == "," or with_point >= max(with_comma, 1)
+    for number, row in enumerate(chain(first, rows), start=1):
+        if not has_points and (odd := next((cell for cell in row if "." in cell and is_number(cell)), None)):
+            raise LogError(f"{path}: row {number}: {odd!r} has a point beside decimal commas; write it without")
+        yield row if has_points else [cell if "." in cell else cell.replace(",", ".") for cell in row]
 
 
 def _check_heading(path: Path, heading: list[str]) -> None:
