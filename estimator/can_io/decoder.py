@@ -152,7 +152,7 @@ class Decoder:
                 self.rejected[f"{message.name}: short frame"] += short
                 chosen = chosen[whole]
             if long:
-                chosen = Frames.concatenate([chosen, _stack(long, reach)])
+                chosen = Frames.concatenate([chosen, stacked(long, reach)])
                 chosen = chosen[np.argsort(chosen.t, kind="stable")]
             carried.append(CarriedMessage.of(message, chosen, ends))
         return carried
@@ -270,7 +270,7 @@ def is_group(pgn: int, group: NDArray[np.uint32]) -> Mask:
     return is_of_group
 
 
-def _stack(packets: list[MultiPacket], reach: int) -> Frames:
+def stacked(packets: list[MultiPacket], reach: int) -> Frames:
     """Reassembled messages as frames, cut or zero-filled to whole words of at least ``reach`` bytes."""
     width = -(-reach // WORDS[-1]) * WORDS[-1]
     rows = [np.frombuffer(p.payload[:width].ljust(width, b"\0"), dtype=np.uint8) for p in packets]

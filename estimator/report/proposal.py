@@ -142,7 +142,12 @@ def _is_there(candidate: Candidate, found: Survey | None) -> bool:
     if found is None:
         return True
     there = found.presences.get(candidate.path)
-    return there is not None and there.known > 0 and (there.is_alive or DIMENSION[candidate.role] == STATE)
+    return there is not None and there.known > 0 and (there.is_alive or _is_steady(candidate.role))
+
+
+def _is_steady(role: Role) -> bool:
+    """Whether a signal of the role need not change within a drive."""
+    return DIMENSION[role] == STATE or role == Role.REFERENCE_TORQUE
 
 
 def _bus(bound: Mapping[Role, list[Candidate]], found: Survey | None) -> list[str]:

@@ -82,6 +82,10 @@ class LogFrames:
 
     def _open(self, path: Path, config: Config) -> Log:
         if config.table is not None:
+            if self._channels:
+                raise LogError(
+                    f"{path}: is read as a table, which has no channels; take out --channel, or bus.channels"
+                )
             return TableLog(path, config.table)
         if not is_day(path):
             if config.lake is not None:

@@ -1,16 +1,16 @@
 """Search of a log for candidate signals of a database: rate of their messages, and whether their values change."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from estimator.can_io.binding import BoundMessage, BoundSignal, bound_message, last_byte
-from estimator.can_io.decoder import is_group, is_message
+from estimator.can_io.decoder import is_group, is_message, stacked
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.iso_tp import IsoTp, is_segmented
-from estimator.can_io.j1939 import GROUP_MASK, pgn_of
+from estimator.can_io.j1939 import GROUP_MASK, Transport, pgn_of
 from estimator.can_io.role_candidates import Candidate
 from estimator.can_io.signal_values import present, values
 from estimator.config import Config, from_dict
@@ -67,7 +67,7 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
     joiners = {path: IsoTp(message) for path, message in zip(chosen, messages, strict=True) if is_segmented(message)}
     last: dict[str, float] = {}  # latest value
     by_id, by_group = set[str](), set[str]()
-    for frames in LogFrames([path], config, progress):
+    for frames in _with_joined(LogFrames([path], config, progress), messages):
         group = frames.ident & np.uint32(GROUP_MASK)
         for message in messages:
             path_of_it = f"{message.name}.{message.signals[0].signal.name}"
@@ -84,6 +84,19 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
     return Survey(
         {path: there for path, there in presences.items() if there.readings}, len(by_group - by_id) > len(by_id)
     )
+
+
+def _with_joined(logs: Iterable[Frames], messages: Iterable[BoundMessage]) -> Iterator[Frames]:
+    """The frames, and after them the messages of more than 8 bytes that the transport protocol of J1939 carries."""
+    transport = Transport()
+    signals = [
+        signal for message in messages for bound in message.signals for signal in (bound.signal, *bound.multiplexers)
+    ]
+    reach = max(map(last_byte, signals), default=0)
+    for frames in logs:
+        yield frames
+        if packets := transport.feed(frames):
+            yield stacked(packets, reach)
 
 
 def _bound(candidate: Candidate, config: Config) -> BoundMessage:

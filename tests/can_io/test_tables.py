@@ -279,6 +279,14 @@ def test_a_table_that_must_not_be_read_is_named(tmp_path: Path, monkeypatch: pyt
         read(file, columns=RATES)
 
 
+@pytest.mark.parametrize("command", ["inspect", "estimate", "diagnose"])
+def test_a_channel_of_a_table_is_refused(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = written_table(steady(), tmp_path / "a.csv")
+    line = refused(capsys, command, file, *MAP, "--channel", "can1")
+    said = "is read as a table, which has no channels; take out --channel, or bus.channels"
+    assert line == f"error: {file}: {said}"
+
+
 def test_check_takes_the_columns_of_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = written_table(steady(1200), tmp_path / "a.csv")
     advice = refused(capsys, "check", file)

@@ -1,5 +1,6 @@
 """From a database and a log to a configuration that estimates, without reading a manual."""
 
+import gzip
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -294,6 +295,19 @@ def test_a_log_tells_what_is_on_the_bus(tmp_path: Path, cli: Cli) -> None:
     assert 'wheel_speeds = ["WHEELS.WheelSpeedFL", "WHEELS.WheelSpeedFR"]  # kph; 10 Hz, 0 .. 19.9 km/h' in out
     assert '# speed = "ENGINE_DATA.VehicleSpeed"  # kph; 10 Hz, 0 .. 0 km/h, hardly changes' in out
     assert '# brake_switch = "PEDALS.BrakePedal"  # 1 Not_Applied, 2 Applied; not in the log' in out
+
+
+def test_a_reference_torque_that_comes_in_packets_is_bound(tmp_path: Path, cli: Cli) -> None:
+    """EC1 has more than 8 bytes, and never changes; without it no power follows from a torque in per cent."""
+    lines = gzip.decompress((CASES / "j1939_rts_cts.log.gz").read_bytes()).decode().splitlines()
+    for i, line in enumerate(lines):
+        lines[i] = line.replace("0CF00400#F07D96002C", f"0CF00400#F07D{150 + i % 50:02X}{i % 200:02X}2C")
+        lines[i] = lines[i].replace("18FEF100#F30030", f"18FEF100#F3{i % 200:02X}30")
+    (tmp_path / "drive.log").write_text("\n".join(lines) + "\n")
+    status, out, _ = cli("init", ROOT / "dbc" / "j1939.dbc", tmp_path / "drive.log")
+    assert status == 0
+    assert '\ntorque_fraction = "EEC1.ActualEngPercentTorque"' in out
+    assert '\nreference_torque = "EC1.EngReferenceTorque"  # Nm; 0.1 Hz, 2500 .. 2500 N m' in out
 
 
 def test_parameter_groups_from_other_addresses_are_found(cli: Cli) -> None:
