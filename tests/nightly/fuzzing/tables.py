@@ -67,7 +67,7 @@ def csvs() -> list[bytes]:
         "".join(mark.join(map(str, line)) + "\n" for line in part)
         for mark, part in ((",", lines), (";", quoted), ("\t", lines))
     ]
-    dates = "".join(f"2026-05-04T06:00:{t:02d}Z,{9 + t},{t}\n" for t in range(12))
+    dates = "".join(f"2026-05-04T06:00:{t:02d}Z,{9 + t},{t},\n" for t in range(12))
     return [text.encode() for text in (*texts, f"time,v,P,h\n{dates}")]
 
 
@@ -97,9 +97,8 @@ def _parquet(columns: Mapping[str, object], packing: str) -> bytes:
 
 def _measurement(groups: int, compression: Literal[0, 2]) -> bytes:
     rows = _rows()
-    signals = [
-        asammdf.Signal(rows[name], rows["t"], name=name, unit=unit) for name, unit in zip("vPh", "smm", strict=True)
-    ]
+    units = {"v": "km/h", "P": "kW", "h": "m"}
+    signals = [asammdf.Signal(rows[name], rows["t"], name=name, unit=unit) for name, unit in units.items()]
     with tempfile.TemporaryDirectory() as folder, asammdf.MDF(version="4.10") as file:
         for group in [signals] if groups == 1 else [[signal] for signal in signals]:
             file.append(group)
