@@ -35,7 +35,11 @@ class Magnitude(Struct, frozen=True, kw_only=True):
 
 
 class GapClosed(Struct, frozen=True, kw_only=True):
-    """Share of the squared residual beyond noise that an effect takes away, with its 90 % interval."""
+    """Share of an effect in the mean square of all that was found, with its 90 % interval.
+
+    Found are effects, causes without a name and the road; it counts as far as signals show it, or, if none does, as
+    known.
+    """
 
     fraction: float | None
     q05: float | None

@@ -48,8 +48,8 @@ class Part:
     ``share`` of the mean square of the residual with the given causes, with its 90 % interval; ``rms`` [W] of the
     contribution. ``held_out_rms`` [W]: held-out residual rms of the model with the given causes and this one; None of a
     given one, and without that fit. ``expected`` [W]: residual rms if this cause were known exactly, as by a signal of
-    its own, beside the given ones. ``closed``: its share in all that was found (chosen effects, nameless processes,
-    road), with a 90 % interval that allows for effects not found.
+    its own, beside the given ones, and effects that were not chosen did not act. ``closed``: its share in all that was
+    found (chosen effects, nameless processes, road), with a 90 % interval that allows for effects not found.
     """
 
     cause: str
@@ -68,8 +68,8 @@ class Residuals:
     """Residuals [W] (k,) of one drive over means of 2 s: measured power minus modelled power.
 
     ``plain``: of the road load on a level road; ``given``: with the given effects; ``held_out``: with all chosen terms,
-    on stretches left out of the fit. ``road_known``: as ``held_out``, but with the slopes of the road's state instead
-    of those that the road signals show on these stretches. ``causes``: power of each chosen term and the road there.
+    on stretches left out of the fit. ``road_known``: ``given`` less a road that the force allows; its rms is
+    `Part.expected` of the road. ``causes``: power of each chosen term and the road on the stretches left out.
     """
 
     plain: Floats
@@ -130,8 +130,10 @@ def budget(
     For each drive ``possible`` holds effects that were not chosen, and ``unnamed`` the nameless processes to include.
     Causes that are ``given`` are in the model whose residual is split; their errors are part of the gap.
     """
+    chosen = {term.name for drive in drives for term in drive.chosen}
+    not_chosen = dict.fromkeys(term.name for terms in possible for term in terms if term.name not in chosen)
     found = [
-        _of_drive(drive, others, process, rng, given)
+        _of_drive(drive, others, process, rng, given, not_chosen)
         for drive, others, process in zip(drives, possible, unnamed, strict=True)
     ]
     residual = np.concatenate([drive.residuals.given for drive in found])
@@ -139,17 +141,15 @@ def budget(
         cause: np.concatenate([drive.held_out.get(cause, np.zeros(len(drive.residuals.given))) for drive in found])
         for cause in dict.fromkeys(cause for drive in found for cause in drive.held_out)
     }
-    chosen = {term.name for drive in drives for term in drive.chosen}
-    not_chosen = dict.fromkeys(term.name for terms in possible for term in terms if term.name not in chosen)
     drawn = _with_small_pooled(DrawnPowers.of_drives([drive.drawn for drive in found]), not_chosen)
     shares = {cause: drawn.share(cause) for cause in drawn.causes}
     all_but_noise = 1 - sum((shares[cause] for cause in (NOISE, WHITE)), np.zeros(DRAWS))
-    found_share = all_but_noise - sum(
-        (shares[cause] for cause in (*not_chosen, OTHERS) if cause in shares), np.zeros(DRAWS)
-    )
+    unfound = [cause for cause in shares if cause == OTHERS or cause in not_chosen]
+    found_share = all_but_noise - sum((shares[cause] for cause in unfound), np.zeros(DRAWS))
     held_out_rms = {cause: _rms(_without(residual, held_out, {cause})) for cause in held_out}
     parts = [
-        _part(cause, cause in given, drawn, held_out_rms.get(cause), (found_share, all_but_noise)) for cause in shares
+        _part(cause, cause in given, drawn, held_out_rms.get(cause), (found_share, all_but_noise), unfound)
+        for cause in shares
     ]
     return Budget(
         base=_rms(residual),
@@ -181,9 +181,17 @@ def _rms(values: Floats) -> float:
 
 
 def _part(
-    cause: str, is_given: bool, drawn: DrawnPowers, held_out_rms: float | None, systematic: tuple[Floats, Floats]
+    cause: str,
+    is_given: bool,
+    drawn: DrawnPowers,
+    held_out_rms: float | None,
+    systematic: tuple[Floats, Floats],
+    unfound: Sequence[str],
 ) -> Part:
-    """Part of a cause; ``systematic`` (d,), (d,): total share of the causes found, and of everything but noise."""
+    """Part of a cause; ``systematic`` (d,), (d,): total share of the causes found, and of everything but noise.
+
+    Where a cause that was found is known, the effects ``unfound`` do not act.
+    """
     shares = drawn.share(cause)
     mean = float(shares.mean())
     low, high = (mean - np.quantile(shares, [0.05, 0.95])).tolist()
@@ -199,7 +207,7 @@ def _part(
         q95=mean + float(np.hypot(high, form)),
         rms=drawn.rms(cause),
         held_out_rms=held_out_rms,
-        expected=drawn.rms_without(cause),
+        expected=drawn.rms_without(cause, *(() if cause in (*unfound, NOISE, WHITE) else unfound)),
     )
 
 
@@ -209,6 +217,7 @@ def _of_drive(
     unnamed: Sequence[Term],
     rng: np.random.Generator,
     given: Collection[str],
+    not_chosen: Collection[str],
 ) -> _Drive:
     plain, mass = PlainModel(drive.fit), 1 / drive.fit.beta[:1]
     held_out = {
@@ -220,26 +229,40 @@ def _of_drive(
     added = (*others, *unnamed)
     joint, terms = drive.joint_with(added), [*drive.chosen, *added]
     amplitudes = _amplitudes(joint, terms, rng)
-    batches, road = list[DrawnPowers](), np.zeros(len(residual))
+    known = [*(term.name for term in others if term.name in not_chosen), *([] if drive.is_level else [ROAD])]
+    batches, roads = list[DrawnPowers](), np.zeros((2, len(residual)))  # mean of all draws, and the last
     for at in range(0, DRAWS, TOGETHER):
         powers = dict(_drawn(drive, joint, terms, plain, amplitudes[:, at : at + TOGETHER], rng))
-        if not drive.is_level:
-            road += powers[ROAD].sum(axis=1) / DRAWS
         for cause in [cause for cause in powers if cause in given and cause in held_out]:
             powers[cause] -= held_out[cause][:, None]
+        road = sum((powers[cause] for cause in known), np.zeros((len(residual), TOGETHER)))
+        roads += road.sum(axis=1) / DRAWS, road[:, -1] - roads[1]
         batches.append(DrawnPowers.of(of_given, powers))
-    with_road = held_out | ({} if drive.is_level else {ROAD: road})
+    drawn = DrawnPowers.of_draws(batches)
     return _Drive(
         residuals=Residuals(
             plain=residual,
             given=of_given,
             held_out=_without(residual, held_out, held_out),
-            road_known=_without(residual, with_road, with_road),
+            road_known=_with_true_road(of_given, roads, drawn.rms_without(*known)),
             causes=held_out,
         ),
         held_out={cause: power for cause, power in held_out.items() if cause not in given},
-        drawn=DrawnPowers.of_draws(batches),
+        drawn=drawn,
     )
+
+
+def _with_true_road(residual: Floats, roads: Floats, expected: float) -> Floats:
+    """Residual (k,) less the power of a road near a draw from the posterior, so that its rms is the ``expected`` one.
+
+    ``roads`` (2, k): the posterior's mean, which leaves less than the true road as it follows noise, and the draw.
+    """
+    mean, draw = roads
+    left, step = residual - mean, draw - mean
+    along, length = float(left @ step), max(float(step @ step), np.finfo(float).tiny)
+    missing = max(len(left) * expected**2 - float(left @ left), 0.0)
+    true: Floats = left - (along + float(np.sqrt(along**2 + length * missing))) / length * step
+    return true
 
 
 def _power(plain: PlainModel, acceleration: Floats, masses: Floats) -> Floats:

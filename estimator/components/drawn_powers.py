@@ -60,11 +60,11 @@ class DrawnPowers:
         place = self._place(cause)
         return self._root_mean(self.products[:, place, place])
 
-    def rms_without(self, cause: str) -> float:
-        """Root mean square [W] of the residual less the power of a cause, over all draws."""
-        place = self._place(cause)
-        squares = self.products[:, 0, 0] - 2 * self.products[:, 0, place] + self.products[:, place, place]
-        return self._root_mean(squares)
+    def rms_without(self, *causes: str) -> float:
+        """Root mean square [W] of the residual less the power of ``causes``, over all draws."""
+        signs = np.zeros(1 + len(self.causes))
+        signs[0], signs[[self._place(cause) for cause in causes]] = 1.0, -1.0
+        return self._root_mean(self.products @ signs @ signs)
 
     def pooled(self, small: Collection[str], name: str) -> "DrawnPowers":
         """These powers with those of the causes ``small`` summed to one, which has the ``name`` and is the last."""

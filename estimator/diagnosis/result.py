@@ -27,7 +27,10 @@ class Magnitude:
 
 @dataclass(frozen=True, slots=True)
 class GapClosed:
-    """Share of an effect in the mean squared residual beyond noise and given effects, with its 90 % interval."""
+    """Share of an effect in the mean square of all that was found, with its 90 % interval.
+
+    Found are effects, nameless processes and the road; it counts as far as signals show it, or, if none does, as known.
+    """
 
     fraction: float
     q05: float
@@ -182,7 +185,7 @@ class Traces:
     measured: Floats  # [W]
     base: Floats  # [W], plain model with the given effects
     extended: Floats  # [W], with all chosen effects and the road, on held-out stretches
-    road_known: Floats  # [W], extended, but with the slopes of the state, as an ideal signal would show them
+    road_known: Floats  # [W], base with a road that the force allows, as an ideal signal might show it
     log: Floats  # number of the log
 
 
@@ -190,7 +193,7 @@ CANDIDATES = (
     Column("effect", "text"),
     Column("status", "text", meaning='"named", or "candidate" for one that the verdict does not rest on'),
     *EVIDENCE,
-    Column("gap_closed", "number", "1", "share of the squared residual beyond noise that it explains"),
+    Column("gap_closed", "number", "1", "share in the mean square of all that was found"),
     Column("mass_shift_kg", "number", "kg", "change of the mass with it"),
     Column("A_shift_N", "number", "N", "change of A with it"),
     Column("C_shift_N_s2_m2", "number", "N s2/m2", "change of C with it"),

@@ -19,6 +19,10 @@ REMAINDER_SENTENCES = {
     Verdict.UNKNOWN: "Something is left that no effect of the catalogue explains.",
     Verdict.CANNOT_TELL: "Whether anything is left cannot be told.",
 }
+GAP_CLOSED = (
+    "share in all that was found (effects, road, causes without a name), as mean squares; a road counts as far as "
+    "signals show it, and one that none shows as if it were known"
+)
 
 
 def write_page(diagnosis: Diagnosis, path: Path) -> None:
@@ -82,14 +86,23 @@ def _aligned(d: Diagnosis) -> str:
 
 
 def _how_far(d: Diagnosis) -> str:
-    bars = figures.bars(d)
-    held = (
-        '<p class="soft">Residual, root mean square over held-out stretches; grey is the noise floor, '
-        "colour what lies above it.</p>"
-    )
+    bars, caption = figures.bars(d), f'<p class="soft">{html.escape(_of_the_bars(d))}</p>'
     return (
-        f'<div class="columns"><div>{bars}{held}</div>{tables.chosen(d)}</div>' if bars else ""
+        f'<div class="columns"><div>{bars}{caption}</div>{tables.chosen(d)}</div>' if bars else ""
     ) + tables.parameters(d)
+
+
+def _of_the_bars(d: Diagnosis) -> str:
+    """What each bar is the root mean square of, and what the shares beside them are of."""
+    said = ["Root mean square of the residual. The plain road load is fitted to the whole drive."]
+    if d.effects or d.given:
+        said.append("Effects are judged on stretches left out of the fit.")
+    if any(wording.is_hidden(effect) for effect in d.effects):
+        said.append(f"If the road were known: expected of the {wording.base_name(d)} with true slopes, nothing else.")
+    elif wording.if_road_were_exact(d) is not None:
+        said.append("If its road were exact: expected with true slopes.")
+    said.append("Grey is the noise floor, colour what lies above it.")
+    return " ".join([*said, f"Gap closed: {GAP_CLOSED}."] if d.effects else said)
 
 
 def _power(d: Diagnosis) -> str:
@@ -170,7 +183,7 @@ def terms(limits: Thresholds) -> dict[str, str]:
     return {
         "residual": "measured power minus the model's; above zero, the vehicle needs more power than the model says",
         "noise floor": "residual that no road-load model can take away: noise of torque and speed",
-        "gap closed": "share of the mean squared residual above the noise floor that goes away",
+        "gap closed": GAP_CLOSED,
         "probability": (
             "that the effect acts, among all causes that the log may have; an effect is named from "
             f"{wording.percent(limits.min_probability)} on, alone or together with one that may act in its place"

@@ -45,6 +45,8 @@ def test_of_several_drives_they_are_those_of_all_values(drives, whole):
         assert_allclose(found.share(cause), residual @ power / (residual @ residual))
         assert found.rms(cause) == pytest.approx(np.sqrt(np.mean(power**2)))
         assert found.rms_without(cause) == pytest.approx(np.sqrt(np.mean((residual[:, None] - power) ** 2)))
+    left = residual[:, None] - powers["a"] - powers["d"]
+    assert found.rms_without("a", "d") == pytest.approx(np.sqrt(np.mean(left**2)))
 
 
 def test_pooled_causes_are_one_whose_power_is_their_sum(drives, whole):

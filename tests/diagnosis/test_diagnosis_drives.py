@@ -37,6 +37,8 @@ def what_is_drawn_is_what_is_stated(answer: Answer, traces: Path) -> None:
 
     assert rms("plain_kW") == pytest.approx(answer["rms_base_kW"], rel=1e-4)
     assert rms("with_effects_kW") == pytest.approx(answer["rms_final_kW"], rel=1e-4)
+    for hidden in [effect for effect in answer["effects"] if effect["magnitude"]["name"] == "sd of the grade"]:
+        assert rms("road_known_kW") == pytest.approx(hidden["rms_after_kW"], rel=1e-4)
     axes = {"speed": drawn["speed_km_h"] / 3.6, "time": drawn["time_s"]}
     for place in [place for place in answer["where"] if place["axis"] in axes]:
         values, rounding = axes[place["axis"]], 1e-5 * place["to"]  # of the file: a row lies on each edge

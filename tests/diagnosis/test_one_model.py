@@ -68,7 +68,7 @@ def test_hills_that_an_altimeter_shows_are_drawn_as_they_are_stated(diagnosed):
 
 
 def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
-    """What a signal could reach: the curve is of the posterior's mean, the figure counts its doubt as well."""
+    """What a signal could reach is one number: of the text, the bar, the budget, the JSON and the curve."""
     d = diagnose_logs(hidden, from_dict({}))
     (grade,) = d.effects
     assert (d.verdict, grade.name, d.streaming_effects) == ("effect", "grade", ())
@@ -81,8 +81,21 @@ def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
     document = page(d)
     assert "if the road were known" in document
     assert "with the effects" not in document.split("What it does to the parameters")[0]
-    assert 0.5 * grade.rms_after < known < grade.rms_after < 0.3 * grade.rms_before
+    assert known == pytest.approx(grade.rms_after, rel=1e-9) == d.budget.part("road").expected
+    assert grade.rms_after < 0.3 * grade.rms_before
+    stated = f"{wording.kilowatts(known)} if the road were known"
+    assert stated in document
+    assert f"to {wording.kilowatts(known)}" in wording.reason(d)
     assert mean_square(d, "extended") < 0.3 * mean_square(d, "plain")
+
+
+def test_a_known_road_leaves_what_an_exact_altimeter_leaves(hidden, tmp_path):
+    """An effect that is possible, but was not found, takes no part in it."""
+    exact = written(drive("mixed", 15, 7, HILLS, altitude_noise=0.01), tmp_path / "exact.blf")
+    found = diagnose_logs(exact, from_dict({}))
+    (grade,) = diagnose_logs(hidden, from_dict({})).effects
+    assert grade.rms_after == pytest.approx(found.budget.part("road").expected, rel=0.1)
+    assert grade.rms_after == pytest.approx(found.noise_floor, rel=0.1)
 
 
 def test_the_plain_model_is_the_one_whose_parameters_are_given(diagnosed):

@@ -279,6 +279,17 @@ def test_a_road_that_no_signal_shows_is_a_step_by_the_force_alone() -> None:
     bars = figures.bars(d)
     assert "if the road were known</span>" in bars
     assert bars.count("<li>") == 5  # and the noise floor
+    assert "known: expected of the plain model with true slopes, nothing else" in page(d)
+
+
+def test_the_caption_of_the_bars_says_what_each_is_of() -> None:
+    """The residual of the plain model is of the whole drive, as it is fitted to it."""
+    said = page(rich())
+    assert "over held-out stretches" not in said
+    assert "fitted to the whole drive. Effects are judged on stretches left out of the fit" in said
+    assert "Gap closed: share in all that was found" in said
+    alone = page(changed(effects=(), verdict=Verdict.NO_GAP))
+    assert "left out of the fit" not in alone.split('id="how-far"')[1].split("</section>")[0]
 
 
 def test_bytes_that_are_no_text_are_written(tmp_path: Path) -> None:
