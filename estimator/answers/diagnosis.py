@@ -107,13 +107,16 @@ class Part(Struct, frozen=True, kw_only=True):
 class Parameters(Struct, frozen=True, kw_only=True):
     """A, C and mass, and their averages over the possible hypotheses; null without a fit.
 
-    ``base``: of the plain model, or of the fit with the effects that the configuration gives.
+    ``base``: of the plain model, or of the fit with the effects that the configuration gives. Of several drives they
+    are of that with most usable driving: in ``span_s`` of the log that ``log`` counts from 0. These are null of one.
     """
 
     base: RoadLoad | None
     base_sd: RoadLoad | None
     final: RoadLoad | None
     sd: RoadLoad | None
+    log: int | None = None
+    span_s: tuple[float, float] | None = None
 
 
 class Place(Struct, frozen=True, kw_only=True):

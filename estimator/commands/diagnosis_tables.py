@@ -43,7 +43,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "found", _found(d, effect)
     if d.effects and d.base is not None and d.final is not None:
         change = Shift(d.final.mass - d.base.mass, d.final.A - d.base.A, d.final.C - d.base.C)
-        yield "shift", wording.shift(change, d.deviation)
+        yield "shift", "; ".join(filter(None, (wording.shift(change, d.deviation), wording.of_the_longest(d))))
     for line in parameter_text.references(d.references):
         yield "others", line
     if steps:

@@ -15,7 +15,7 @@ from estimator.diagnosis.isolability import invisible, isolability, not_testable
 from estimator.diagnosis.localisation import biased_parts, gap_map
 from estimator.diagnosis.power_traces import context_of, traces_of
 from estimator.diagnosis.residual_formula import best_residual_formula
-from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Experiment, Finding, NotTestable
+from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Experiment, Finding, NotTestable, Span
 from estimator.diagnosis.road_comparison import fitted_cases, search
 from estimator.diagnosis.surrogates import p_value
 from estimator.diagnosis.thresholds import Thresholds
@@ -122,6 +122,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
         base_deviation=base_deviation,
         final=final,
         deviation=deviation,
+        longest=_whole(decision.cases[number].drive) if len(result.drives) > 1 else None,
         where=tuple(biased_parts(traces, context_of(decision))),
         isolability=isolability(longest, tested),
         not_testable=tuple(effect for effect in missing if effect.name not in reported),
@@ -133,6 +134,12 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
         gap_map=gap_map(traces, traces.road_known if is_hidden_named else traces.extended),
         traces=traces,
     )
+
+
+def _whole(drive: Drive) -> Span:
+    """All of a drive."""
+    t = drive.strides.t - drive.log_start
+    return Span(float(t[0]), float(t[-1]), drive.log)
 
 
 def _experiments(

@@ -224,6 +224,7 @@ class Diagnosis:
     base_deviation: Shift | None = None  # sd of base
     final: Shift | None = None  # A, C, m with all chosen effects
     deviation: Shift | None = None  # sd of final
+    longest: Span | None = None  # drive of base and final, isolability, invisible and formula; None: the only one
     where: tuple[Place, ...] = ()
     isolability: Isolability | None = None
     not_testable: tuple[NotTestable, ...] = ()

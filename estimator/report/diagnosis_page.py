@@ -37,9 +37,9 @@ def page(d: Diagnosis) -> str:
 
 def _verdict(d: Diagnosis) -> str:
     logs = html.escape(wording.logs(d))
-    line = ""
+    line = "".join(f'<p class="note">{html.escape(doubt[:1].upper() + doubt[1:])}</p>' for doubt in d.doubts)
     if configuration := wording.configuration(d):
-        line = (
+        line += (
             '<div class="add"><p>Add to the configuration</p>'
             f"<pre><code>{html.escape(configuration)}</code></pre></div>"
         )
@@ -142,13 +142,13 @@ def _complete(traces: Traces | None) -> Traces | None:
 
 
 def _apart(d: Diagnosis) -> str:
-    return "" if d.isolability is None else tables.isolability(d.isolability)
+    return "" if d.isolability is None else tables.of_the_longest(d) + tables.isolability(d.isolability)
 
 
 def _unseen(d: Diagnosis) -> str:
     parts = []
     if d.invisible:
-        parts.append("<h3>Could be there unseen</h3>" + tables.invisible(d.invisible))
+        parts.append("<h3>Could be there unseen</h3>" + tables.of_the_longest(d) + tables.invisible(d.invisible))
     if d.not_testable:
         parts.append("<h3>Not testable without another signal</h3>" + tables.not_testable(d.not_testable))
     if d.advice:

@@ -30,6 +30,8 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
             base_sd=_road_load(d.base_deviation),
             final=_road_load(d.final),
             sd=_road_load(d.deviation),
+            log=None if d.longest is None else d.longest.log,
+            span_s=None if d.longest is None else (d.longest.start, d.longest.end),
         ),
         where=tuple(map(_place, d.where)),
         isolability=answer.Isolability() if d.isolability is None else _isolability(d.isolability),

@@ -315,6 +315,11 @@ def action(finding: Finding, several: bool = False) -> str:
     return "; ".join(filter(None, (finding.detail, times(finding.span, several)))) or NOTHING
 
 
+def of_the_longest(d: Diagnosis) -> str:
+    """Which of several drives the parameters are of; empty for the only one."""
+    return "" if d.longest is None else f"of the drive with most usable driving, {times((d.longest,), len(d.logs) > 1)}"
+
+
 def logs(d: Diagnosis) -> str:
     """Their names, numbered where there are several: times refer to a log by its number."""
     if len(d.logs) < 2:

@@ -220,6 +220,10 @@ def test_an_event_may_be_in_one_log_only(clean, tmp_path):
         assert beside["effects"][0]["magnitude"][key] == pytest.approx(alone["effects"][0]["magnitude"][key], rel=1e-3)
     assert beside["effects"][0]["span_s"] == alone["effects"][0]["span_s"]
     assert set(alone["effects"][0]["span_log"]) == {0}
+    assert alone["parameters"]["log"] is None
+    first, last = beside["parameters"]["span_s"]
+    assert beside["parameters"]["log"] == 1
+    assert (first, last) == (pytest.approx(0.0, abs=15.0), pytest.approx(780.0, abs=15.0))
     assert beside["effects"][0]["span_log"] == [1] * len(beside["effects"][0]["span_s"])
 
 

@@ -101,7 +101,26 @@ def test_json_says_which_log_a_time_belongs_to() -> None:
     assert said.logs == ("monday.blf", "tuesday.blf")
 
 
+def test_parameters_say_which_of_several_drives_they_are_of() -> None:
+    d = several()
+    said = of_diagnosis(d).parameters
+    assert (said.log, said.span_s) == (0, (0.0, 4_500.0))
+    assert (
+        page(d).count("Of the drive with most usable driving, log 1 0:00 to 75:00 min.") == 3
+    )  # parameters, courses, unseen
+    console = Console(file=io.StringIO(), width=200)
+    print_diagnosis(console, d)
+    assert "of the drive with most usable driving, log 1 0:00 to 75:00 min" in console.file.getvalue()
+    assert "usable driving" not in page(rich())
+    assert of_diagnosis(rich()).parameters.log is None
+
+
 # page
+
+
+def test_a_doubt_that_logs_are_of_one_vehicle_is_on_the_page() -> None:
+    assert '<p class="note">The reference torque is another in log 2: two vehicles?</p>' in page(several())
+    assert 'class="note"' not in page(rich()).split("</header>")[0].split("<header")[1]
 
 
 def test_the_terms_say_the_rules_that_the_diagnosis_is_made_by() -> None:

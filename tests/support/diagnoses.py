@@ -154,7 +154,14 @@ def several() -> Diagnosis:
     both = {f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(Traces)}
     fan = d.effects[1]
     fan = replace(fan, span=(*fan.span[:1], Span(427.0, 527.0, 1), Span(1127.0, 1227.0, 1)))
-    return replace(d, effects=(d.effects[0], fan), traces=Traces(**both), logs=("monday.blf", "tuesday.blf"))
+    return replace(
+        d,
+        effects=(d.effects[0], fan),
+        longest=Span(0.0, 4_500.0, 0),
+        traces=Traces(**both),
+        logs=("monday.blf", "tuesday.blf"),
+        doubts=("the reference torque is another in log 2: two vehicles?",),
+    )
 
 
 def unknown() -> Diagnosis:

@@ -49,12 +49,13 @@ def parameters(d: Diagnosis) -> str:
         return ""
     base = html.escape(wording.base_name(d))
     title = "What it does to the parameters" if d.effects else f"Parameters of the {base}"
+    title = f"<h3>{title}</h3>" + of_the_longest(d)
     if d.final is not None and not d.effects:  # least squares alone would have the sd of the noise
         rows = [
             [f"{name} [{unit}]", _with_sd(getattr(d.final, key), getattr(d.deviation, key, math.nan), step)]
             for key, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True)
         ]
-        return f"<h3>{title}</h3>" + table(("parameter", "averaged over the hypotheses"), rows, "parameters")
+        return title + table(("parameter", "averaged over the hypotheses"), rows, "parameters")
     rows = []
     for attribute, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True):
         before = getattr(d.base, attribute)
@@ -67,7 +68,13 @@ def parameters(d: Diagnosis) -> str:
             row += [_with_sd(after, sd, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
     headings = ("parameter", base, "with the effects", "shift")
-    return f"<h3>{title}</h3>" + table(headings[: len(rows[0])], rows, "parameters")
+    return title + table(headings[: len(rows[0])], rows, "parameters")
+
+
+def of_the_longest(d: Diagnosis) -> str:
+    """Which of several drives a table is of."""
+    said = wording.of_the_longest(d)
+    return f'<p class="soft">{said[:1].upper()}{said[1:]}.</p>' if said else ""
 
 
 def _with_sd(value: float, sd: float, step: float) -> str:
