@@ -1,6 +1,6 @@
 """The posterior that `estimate --draws` writes as JSON; parameters by their names with units."""
 
-from msgspec import UNSET, Struct, UnsetType
+from msgspec import UNSET, Struct, UnsetType, field
 
 from estimator.answers.answer import Answer
 
@@ -50,7 +50,10 @@ class Air(Struct, frozen=True, kw_only=True):
 
 
 class DrawsAnswer(Answer, frozen=True, kw_only=True):
-    """Draws (chain, draw) by parameter, with their summary; ``air`` only where the density is known."""
+    """Draws (chain, draw) by parameter, with their summary; ``air`` only where the density is known.
+
+    ``withheld``: reasons why draws of a parameter are no answer.
+    """
 
     dims: tuple[str, ...]
     posterior: dict[str, Matrix]
@@ -59,3 +62,4 @@ class DrawsAnswer(Answer, frozen=True, kw_only=True):
     effective_samples: float | None
     eigen_metrics: EigenMetricsPair
     air: Air | UnsetType = UNSET
+    withheld: dict[str, str] = field(default_factory=dict)

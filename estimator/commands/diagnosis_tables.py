@@ -49,7 +49,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
     if steps:
         yield "left", f"{d.remaining_verdict.value}, log Bayes factor {wording.strength_of_rest(d)}"
     if d.p_value is not None:
-        yield "p value", f"{d.p_value:.3g}: how often noise alone gives an effect as much evidence"
+        yield "p value", wording.p_value(d)
     if d.formula is not None:
         yield "formula", wording.formula(d)
 

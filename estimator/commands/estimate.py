@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     result, status = until_interrupted(work)
     evidence = evidence_of(result)
     if evidence is not None and options.draws is not None:
-        export.write_draws(evidence, options.draws)
+        export.write_draws(evidence, options.draws, result.final.withheld)
     if evidence is None and options.draws is not None:
         complain("note: no estimate, so no draws were written")
     if options.plot is not None:

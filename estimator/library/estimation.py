@@ -101,7 +101,7 @@ class Estimation:
         ConfigError
             arviz-base is not installed.
         """
-        return export.arviz_tree(self._evidence().posterior)
+        return export.arviz_tree(self._evidence().posterior, self.final.withheld)
 
     def plot(self, title: str = "roadload") -> "Figure":
         """A figure of matplotlib: the answer, how it formed, coverage, power with its residual, posterior.

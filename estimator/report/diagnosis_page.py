@@ -56,7 +56,7 @@ def _sections(d: Diagnosis) -> list[Section]:
         Section("how-far", "How far does the gap shrink?" if d.effects else "How large is the residual?", _how_far(d)),
         Section("power", "Power, measured and modelled", _power(d)),
         Section("where", "Where does it lie?", _where(d)),
-        Section("which", "Which effect?", tables.ranking(d.ranking, len(d.logs) > 1)),
+        Section("which", "Which effect?", _which(d)),
         Section("apart", "Which effects have one course?", _apart(d)),
         Section("unseen", "What this log cannot say", _unseen(d)),
         Section("left", "What is left?", _left(d)),
@@ -139,6 +139,11 @@ def _complete(traces: Traces | None) -> Traces | None:
     if columns.shape[1] < 2:
         return None
     return Traces(**{field.name: column for field, column in zip(fields(Traces), columns, strict=True)})
+
+
+def _which(d: Diagnosis) -> str:
+    said = wording.p_value(d)
+    return tables.ranking(d.ranking, len(d.logs) > 1) + (f"<p>p value {html.escape(said)}.</p>" if said else "")
 
 
 def _apart(d: Diagnosis) -> str:

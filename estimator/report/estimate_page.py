@@ -214,10 +214,10 @@ def _residual(power: PowerTrace, x: Axis, kind: str, blocks: int) -> str:
 
 def _joint(view: EstimateView) -> str:
     """Pairs of the draws, with the 90 % interval of the abscissa shaded."""
-    if view.evidence is None:
+    if view.evidence is None or len(view.rows) < 2:
         return ""
     plots = []
-    for across, up in combinations(ROWS, 2):
+    for across, up in combinations(view.rows, 2):
         u, v = view.draws(across), view.draws(up)
         x, y = (axis(w.tolist(), f"{row.name} [{row.unit}]", margin=0.03) for row, w in ((across, u), (up, v)))
         low, high = np.quantile(view.chains(across), [0.05, 0.95]).tolist()
@@ -226,7 +226,7 @@ def _joint(view: EstimateView) -> str:
         shapes = bar(x, low, high, "span") + dots(x, y, u, v, "cloud")
         plots.append(plot(shapes, x, y, f"{len(u)} draws: {title}", title, "map", ACROSS))
     note = f"{len(u):,} of the draws; shaded is the 90 % interval of the quantity across."
-    return f'<div class="columns figures">{"".join(plots)}</div>{_soft(note)}'
+    return f'<div class="columns figures">{"".join(plots)}</div>{_soft(note, *_not_drawn(view))}'
 
 
 def _chains(view: EstimateView) -> str:
@@ -235,7 +235,7 @@ def _chains(view: EstimateView) -> str:
     if view.evidence is None or found is None:
         return ""
     plots = []
-    for row in ROWS:
+    for row in view.rows:
         chains = view.chains(row)[:CHAINS]
         at = np.arange(chains.shape[1], dtype=float)
         x, y = axis(at.tolist(), "draw"), axis(chains.ravel().tolist(), row.unit, margin=0.04)
@@ -243,7 +243,11 @@ def _chains(view: EstimateView) -> str:
         plots.append(plot(shapes, x, y, f"{row.name} along {len(chains)} chains", row.name, "strip", ACROSS))
     words = f"{found.chains} chains of {found.draws} draws; the first {len(chains)} are drawn. "
     words += f"R-hat {found.r_hat:.3f}, {found.ess_bulk:,.0f} effective draws, {100 * found.acceptance:.0f} % accepted."
-    return f'<p>{words}</p><div class="columns figures">{"".join(plots)}</div>'
+    return f'<p>{words}</p><div class="columns figures">{"".join(plots)}</div>{_soft(*_not_drawn(view))}'
+
+
+def _not_drawn(view: EstimateView) -> list[str]:
+    return [f"{row.name} is unestimated, so its draws are not shown." for row in ROWS if row not in view.rows]
 
 
 def _clock(t: Floats) -> ClockAxis:

@@ -11,7 +11,7 @@ from estimator.estimation.evidence import Evidence
 from estimator.report import parameter_text, summary
 from estimator.report.export import NAMES
 from estimator.report.page.series import telling_minutes
-from estimator.report.parameter_text import Row
+from estimator.report.parameter_text import ROWS, Row
 from estimator.signals import Floats
 from estimator.streaming.replay import Run
 from estimator.streaming.row_stream import MIN_SET_CLOCK
@@ -121,6 +121,12 @@ class EstimateView:
             np.insert(values, breaks, np.nan) for values in (trace.t - self.start, trace.P / 1e3, trace.fitted / 1e3)
         )
         return PowerTrace(t=t, measured=measured, fitted=fitted)
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """The parameters that are estimated: draws of one that is withheld are no answer."""
+        known = summary.parameters(self.final)
+        return tuple(row for row in ROWS if row.of(known).mean is not None)
 
     def chains(self, row: Row) -> Floats:
         """Draws (chains, draws) of a parameter; none without evidence."""

@@ -6,6 +6,7 @@ the posterior, and the drag coefficient in reference air.
 
 import csv
 import importlib.util
+from collections.abc import Mapping
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
@@ -19,6 +20,7 @@ from estimator.answers import draws as answer
 from estimator.answers.answer import encode
 from estimator.answers.draws import DrawsAnswer
 from estimator.errors import ConfigError
+from estimator.estimates import PARAMETERS
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.posterior import Posterior
 from estimator.extras import how_to_install
@@ -45,8 +47,11 @@ def require_arviz() -> None:
         raise ConfigError(f"this needs arviz-base: {how_to_install('arviz')}")
 
 
-def write_draws(evidence: Evidence, path: Path) -> None:
+def write_draws(evidence: Evidence, path: Path, withheld: Mapping[str, str]) -> None:
     """Write the draws of A, C and m behind an estimate to ``path``; the suffix gives the format.
+
+    Parameters that are ``withheld``, each with its reason, are marked: in the heading of their column, as attribute of
+    their variable, or by the key ``withheld``.
 
     Raises
     ------
@@ -54,25 +59,31 @@ def write_draws(evidence: Evidence, path: Path) -> None:
         The file cannot be written.
     """
     check_suffix(path, FORMATS)
+    marked = _marked(withheld)
     contents = {
-        ".json": lambda: encode(_draws(evidence)),
-        ".csv": lambda: _csv(evidence.posterior),
-        ".nc": lambda: _netcdf(evidence.posterior),
+        ".json": lambda: encode(_draws(evidence, marked)),
+        ".csv": lambda: _csv(evidence.posterior, marked),
+        ".nc": lambda: _netcdf(evidence.posterior, withheld),
     }
     with whole(path) as file:
         file.write(contents[path.suffix.lower()]())
 
 
-def _csv(posterior: Posterior) -> bytes:
+def _marked(withheld: Mapping[str, str]) -> dict[str, str]:
+    """Reasons by the names of the draws."""
+    return {name: withheld[key] for key, name in zip(PARAMETERS, NAMES, strict=True) if key in withheld}
+
+
+def _csv(posterior: Posterior, withheld: Mapping[str, str]) -> bytes:
     text = StringIO(newline="")
     table = csv.writer(text)
-    table.writerow(["chain", "draw", *NAMES])
+    table.writerow(["chain", "draw", *(f"{name} (withheld)" if name in withheld else name for name in NAMES)])
     for i, chain in enumerate(posterior.draws[:, :, : len(NAMES)].tolist()):
         table.writerows([i, j, *draw] for j, draw in enumerate(chain))
     return text.getvalue().encode()
 
 
-def _draws(evidence: Evidence) -> DrawsAnswer:
+def _draws(evidence: Evidence, withheld: dict[str, str]) -> DrawsAnswer:
     draws = evidence.posterior.draws[:, :, : len(NAMES)]
     flat = draws.reshape(-1, len(NAMES))
     used = evidence.trace
@@ -89,6 +100,7 @@ def _draws(evidence: Evidence) -> DrawsAnswer:
             raw=_metrics(eigen_metrics(information)), scaled=_metrics(eigen_metrics(information, scale))
         ),
         air=_air(used.mean_density, flat[:, 1]),
+        withheld=withheld,
     )
 
 
@@ -114,8 +126,8 @@ def _metrics(metrics: EigenMetrics) -> answer.EigenMetrics:
     return answer.EigenMetrics(log10_eigenvalues=metrics.log10_eigenvalues.tolist(), angles_deg=metrics.angles.tolist())
 
 
-def arviz_tree(posterior: Posterior) -> Any:
-    """The draws as a tree of ArviZ.
+def arviz_tree(posterior: Posterior, withheld: Mapping[str, str]) -> Any:
+    """The draws as a tree of ArviZ; variables of parameters that are ``withheld`` have the reason as an attribute.
 
     Raises
     ------
@@ -127,11 +139,13 @@ def arviz_tree(posterior: Posterior) -> Any:
 
     tree = arviz_base.from_dict({"posterior": {name: posterior.draws[:, :, i] for i, name in enumerate(NAMES)}})
     del tree["posterior"].attrs["created_at"]  # the clock's: the same log gives the same bytes
+    for name, reason in _marked(withheld).items():
+        tree["posterior"][name].attrs["withheld"] = reason
     return tree
 
 
-def _netcdf(posterior: Posterior) -> bytes:
+def _netcdf(posterior: Posterior, withheld: Mapping[str, str]) -> bytes:
     with TemporaryDirectory() as folder:  # it writes to a name only
         file = Path(folder) / "draws.nc"
-        arviz_tree(posterior).to_netcdf(file, engine="h5netcdf")
+        arviz_tree(posterior, withheld).to_netcdf(file, engine="h5netcdf")
         return file.read_bytes()

@@ -17,12 +17,14 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from estimator.output_files import check_suffix, whole
 from estimator.printable import printable
 from estimator.report import parameter_text, summary, wanted_driving
+from estimator.report.effect_sizes import effect_size
 from estimator.report.estimate_view import EstimateView, PowerTrace
 from estimator.report.notebook_figure import NotebookFigure
 from estimator.report.number_format import MINUS
 from estimator.report.page.plot import ClockAxis
 from estimator.report.parameter_text import ROWS, Row
 from estimator.report.wanted_driving import BEGUN, OCCUPIED, WANTED
+from estimator.report.wording import label
 from estimator.units import KMH
 
 INK, FADED, MARK = "#1b3a4b", "#8fa9b8", "#d1495b"
@@ -81,20 +83,25 @@ def draw(view: EstimateView) -> Figure:
     _power(figure.add_subplot(grid[1, 1:]), power.telling)
     _residual(figure.add_subplot(grid[2, :]), power, view.final.rms)
     for i, (across, up) in enumerate(combinations(ROWS, 2)):
-        _joint(figure.add_subplot(grid[3, i]), view, across, up)
+        if across in view.rows and up in view.rows:
+            _joint(figure.add_subplot(grid[3, i]), view, across, up)
     for i, row in enumerate(ROWS):
-        _chains(figure.add_subplot(grid[4, i]), view, row)
+        if row in view.rows:
+            _chains(figure.add_subplot(grid[4, i]), view, row)
     return figure
 
 
 def _title(view: EstimateView) -> str:
-    """The logs and the answer, the mass in a line of its own."""
+    """The logs and the answer, the mass in a line of its own, what is withheld, and the effects in the model."""
     final = view.final
     name = printable(" · ".join(part for part in (view.title, view.date) if part))
     known = parameter_text.known(summary.parameters(final), summary.coefficients(final))
     values = [f"{x.row.name} {x.row.value(x.mean)} ({x.row.interval(x.q05, x.q95)})" for x in known]
     mass, others = (values[0], ", ".join(values[1:])) if values else (printable(view.headline), "")
-    return "\n".join(line for line in (name, mass, others) if line)
+    unknown = ", ".join(f"{name} unestimated" for name in final.withheld)
+    effects = ", ".join(f"{label(name)} {effect_size(name, size)}" for name, size in final.effects.items())
+    lines = (name, mass, ", ".join(filter(None, (others, unknown))), f"with {effects}" if effects else "")
+    return "\n".join(line for line in lines if line)
 
 
 def _formed(axes: Axes, view: EstimateView, row: Row) -> None:

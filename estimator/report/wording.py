@@ -101,6 +101,11 @@ def strength_of_rest(d: Diagnosis) -> str:
     return bayes(best) + (", too little beside effects whose form is not exact" if is_dismissed else "")
 
 
+def p_value(d: Diagnosis) -> str:
+    """What the p-value says; empty where it was not asked for."""
+    return "" if d.p_value is None else f"{d.p_value:.3g}: how often noise alone gives an effect as much evidence"
+
+
 def formula(d: Diagnosis) -> str:
     """Formula of the residual that has no name, and how well it describes it; empty if there is none."""
     if d.formula is None:

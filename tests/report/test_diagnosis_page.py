@@ -118,6 +118,14 @@ def test_parameters_say_which_of_several_drives_they_are_of() -> None:
 # page
 
 
+def test_the_p_value_is_on_page_and_terminal() -> None:
+    console = Console(file=io.StringIO(), width=200)
+    print_diagnosis(console, changed(p_value=0.01))
+    assert "0.01: how often noise alone" in console.file.getvalue()
+    assert "p value 0.01: how often noise alone gives an effect as much evidence" in page(changed(p_value=0.01))
+    assert "noise alone" not in page(rich())
+
+
 def test_a_doubt_that_logs_are_of_one_vehicle_is_on_the_page() -> None:
     assert '<p class="note">The reference torque is another in log 2: two vehicles?</p>' in page(several())
     assert 'class="note"' not in page(rich()).split("</header>")[0].split("<header")[1]

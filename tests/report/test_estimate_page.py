@@ -106,7 +106,7 @@ def seconds(label: str) -> float:
 
 VIEWS = {
     "estimated": (made_view, 13),
-    "once": (lambda: made_view(1), 11),
+    "once": (lambda: made_view(1), 6),
     "unestimated": (unestimated, 1),
     "empty": (empty, 0),
 }

@@ -1,19 +1,23 @@
 """Draws and pictures of an estimate, as files."""
 
 import csv
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
-from made_outputs import made_view
+from made_outputs import made_evidence, made_view
 from simulated_logs import ask
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands.main import main
-from estimator.report.plots import write_plot
+from estimator.estimates import Marginal
+from estimator.report.effect_sizes import effect_size
+from estimator.report.export import write_draws
+from estimator.report.plots import draw, write_plot
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
@@ -76,6 +80,35 @@ def test_the_same_log_gives_the_same_netcdf_bytes(
     again = tmp_path / "again.nc"
     ask("estimate", log, "--config", once, "--draws", again)
     assert again.read_bytes() == outputs["nc"].read_bytes()
+
+
+def test_draws_of_a_parameter_that_is_withheld_are_marked(tmp_path: Path) -> None:
+    evidence = made_evidence()
+    for suffix in ("csv", "json", "nc"):
+        write_draws(evidence, tmp_path / f"a.{suffix}", {"C": "sd of C is 55 % of its value"})
+    with (tmp_path / "a.csv").open() as file:
+        assert next(csv.reader(file)) == ["chain", "draw", "A_N", "C_N_s2_m2 (withheld)", "mass_kg"]
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert content["withheld"] == {"C_N_s2_m2": "sd of C is 55 % of its value"}
+    with xarray.open_datatree(tmp_path / "a.nc") as data:
+        assert data["posterior"]["C_N_s2_m2"].attrs == {"withheld": "sd of C is 55 % of its value"}
+        assert data["posterior"]["A_N"].attrs == {}
+
+
+def test_a_picture_shows_no_draws_of_a_parameter_that_is_withheld() -> None:
+    """The first update knows the mass alone."""
+    assert [axes.get_ylabel() for axes in draw(made_view(1)).axes[-1:]] == ["mass [kg]"]
+    assert len(draw(made_view()).axes) - len(draw(made_view(1)).axes) == 5
+    assert "A unestimated, C unestimated" in draw(made_view(1)).get_suptitle()
+
+
+def test_a_picture_names_the_effects_in_the_model() -> None:
+    view = made_view()
+    wind = Marginal(mean=5.74, sd=0.19, q05=5.44, q50=5.74, q95=6.05)
+    *others, last = view.updates
+    view = dataclasses.replace(view, updates=(*others, dataclasses.replace(last, effects={"headwind": wind})))
+    assert f"with headwind {effect_size('headwind', wind)}" in draw(view).get_suptitle()
+    assert "headwind" not in draw(made_view()).get_suptitle()
 
 
 @pytest.mark.parametrize(("suffix", "start"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("html", b"<!doctype html>")])
