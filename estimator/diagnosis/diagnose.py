@@ -11,7 +11,7 @@ from estimator.diagnosis.case import MIN_MINUTES, UNIFORM, Case
 from estimator.diagnosis.decision import Decision, decide
 from estimator.diagnosis.experiment import experiments
 from estimator.diagnosis.findings import candidate_findings, named_findings, remainder
-from estimator.diagnosis.isolability import invisible, isolability, not_testable
+from estimator.diagnosis.isolability import isolability, lasting_effects, not_testable
 from estimator.diagnosis.localisation import biased_parts, gap_map
 from estimator.diagnosis.power_traces import context_of, traces_of
 from estimator.diagnosis.residual_formula import best_residual_formula
@@ -103,6 +103,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
     reported = {name for finding in named for name in (finding.name, *finding.equivalent)}
     others = [effect for effect in effects if effect.name not in reported and not effect.is_gravity]
     tested = [term for effect in result.ranking if (term := effect.term_by_drive[number]) is not None]
+    lasting, least = lasting_effects(longest, others), decision.thresholds.min_expected_log_bf
     remaining = decision.remaining()
     addable = facts.streaming_effects(named, decision.cases[number].given)
     return Diagnosis(
@@ -124,9 +125,9 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
         deviation=deviation,
         longest=_whole(decision.cases[number].drive) if len(result.drives) > 1 else None,
         where=tuple(biased_parts(traces, context_of(decision))),
-        isolability=isolability(longest, tested),
+        isolability=isolability(longest, tested, lasting),
         not_testable=tuple(effect for effect in missing if effect.name not in reported),
-        invisible=invisible(longest, others, decision.thresholds.min_expected_log_bf),
+        invisible=tuple(effect for effect in lasting if effect.expected_log_bayes_factor < least),
         advice=facts.advice(result, effects, verdict, named),
         experiments=_experiments(decision, effects, verdict, named, ranking),
         streaming_effects=addable if verdict is Verdict.EFFECT else (),

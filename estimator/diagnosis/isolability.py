@@ -13,14 +13,18 @@ from estimator.model.effects import Effect, Timing
 from estimator.signals import Quantity
 
 
-def isolability(drive: DriveState, fitted_terms: Sequence[FittedTerm]) -> Isolability:
-    """|Correlation| of the power of effects on a drive, less the plain road load, and their expected evidence."""
+def isolability(drive: DriveState, fitted_terms: Sequence[FittedTerm], lasting: Sequence[Invisible]) -> Isolability:
+    """|Correlation| of the power of effects on a drive, less the plain road load, and their expected evidence.
+
+    That of ``lasting`` effects is beside the chosen ones, that of others alone.
+    """
     ordered = sorted(fitted_terms, key=lambda fitted: fitted.term.name)
     plain = PlainModel(drive.fit)
     traces = [plain.residual(plain.as_power(fitted.trace, 1 / drive.fit.beta[:1])[:, 0]) for fitted in ordered]
     unit = np.array([trace / max(float(np.linalg.norm(trace)), np.finfo(float).tiny) for trace in traces])
     unit = unit.reshape(len(ordered), -1 if ordered else 0)
-    expected = np.array([expected_evidence(fitted) for fitted in ordered])
+    beside = {effect.name: effect.expected_log_bayes_factor for effect in lasting}
+    expected = np.array([beside.get(fitted.term.name, expected_evidence(fitted)) for fitted in ordered])
     return Isolability(tuple(fitted.term.name for fitted in ordered), np.abs(unit @ unit.T), expected)
 
 
@@ -35,12 +39,12 @@ def evidence_of(strength: float) -> float:
     return float(0.5 * strength**2 - np.log(max(strength, 1.0)))
 
 
-def invisible(drive: DriveState, effects: Sequence[Effect], min_log_bf: float) -> tuple[Invisible, ...]:
-    """Effects with an expected log Bayes factor below ``min_log_bf`` at usual magnitude, and the shift they cause."""
+def lasting_effects(drive: DriveState, effects: Sequence[Effect]) -> tuple[Invisible, ...]:
+    """Lasting effects with the log Bayes factor expected at usual magnitude beside the chosen ones, and their shift."""
     quantities, present = frozenset(drive.strides.context), {term.name for term in drive.chosen}
-    lasting = [effect for effect in effects if is_lasting(effect) and effect.name not in present]
+    absent = [effect for effect in effects if is_lasting(effect) and effect.name not in present]
     frame, chosen = Frame.of(drive.fit), range(len(drive.chosen))
-    terms = [(effect, term) for effect in lasting for term in untimed_terms(frame, effect, quantities)]
+    terms = [(effect, term) for effect in absent for term in untimed_terms(frame, effect, quantities)]
     joint = drive.joint_with([term for _, term in terms])
     numbers = range(len(chosen), len(chosen) + len(terms))
     sds = joint.gains(chosen, numbers).sd
@@ -53,7 +57,7 @@ def invisible(drive: DriveState, effects: Sequence[Effect], min_log_bf: float) -
         most = best.setdefault(effect.name, expected)
         if expected.expected_log_bayes_factor > most.expected_log_bayes_factor:
             best[effect.name] = expected
-    return tuple(effect for effect in best.values() if effect.expected_log_bayes_factor < min_log_bf)
+    return tuple(best.values())
 
 
 def is_lasting(effect: Effect) -> bool:

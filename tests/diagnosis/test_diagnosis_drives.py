@@ -23,6 +23,7 @@ def diagnose(tmp_path):
         traces = tmp_path / "traces.csv"
         answer = ask("diagnose", written(recording, tmp_path / "drive.blf"), "--traces", traces, *arguments)
         what_is_drawn_is_what_is_stated(answer, traces)
+        an_effect_that_is_unseen_is_so_in_the_matrix(answer)
         return answer
 
     return of
@@ -50,6 +51,13 @@ def what_is_drawn_is_what_is_stated(answer: Answer, traces: Path) -> None:
         ]
         biases = [residual[part].mean() for part in around]
         assert min(biases) - 1e-3 <= place["bias_kW"] <= max(biases) + 1e-3
+
+
+def an_effect_that_is_unseen_is_so_in_the_matrix(answer: Answer) -> None:
+    """Evidence to be expected of an effect is one number."""
+    visible = {each["name"]: each["expected_log_bayes_factor"] for each in answer["isolability"]["visibility"]}
+    for effect in [effect for effect in answer["invisible"] if effect["name"] in visible]:
+        assert effect["expected_log_bayes_factor"] == visible[effect["name"]]
 
 
 def only(answer: Answer, name: str) -> Answer:
