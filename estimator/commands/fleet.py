@@ -28,7 +28,7 @@ from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, check, run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import UNUSED, doubts, require_arrow
-from estimator.report.number_format import counted
+from estimator.report.number_format import counted, with_sd
 from estimator.report.parameter_text import COEFFICIENTS
 from estimator.streaming.log_frames import Kind, kind_of
 
@@ -164,15 +164,16 @@ def _print(drives: Sequence[Row], vehicles: Sequence[Row], out: Path) -> None:
     rows = f"{counted(len(drives), 'row')} of drives, {estimated:,} estimated"
     say(console, f"{rows}; {counted(len(vehicles), 'vehicle')}; written to {out}")
     for row in vehicles:
-        line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, {_road_load(row)}"
+        line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, {road_load(row)}"
         say(console, line + (f"; out of line: {row['outlier']}" if row["outlier"] else ""))
 
 
-def _road_load(row: Row) -> str:
+def road_load(row: Row) -> str:
+    """A/m and C of a vehicle with their standard deviations, or why there are none."""
     rolling, drag = row["A_per_mass_reason"], row["C_reason"]
     if rolling and rolling == drag:
         return f"A/m and C unestimated ({rolling})"
-    A, C = _value(row, "A_per_mass_N_kg", "N/kg", rolling), _value(row, "C_N_s2_m2", "N/(m/s)^2", drag)
+    A, C = _value(row, "A_per_mass_N_kg", "N/kg", rolling), _value(row, "C_N_s2_m2", "N s²/m²", drag)
     c_rr, c_d_A = (
         "" if reason else f" ({x.name} {x.value(row[f'{x.key}_mean'])})"
         for x, reason in zip(COEFFICIENTS, (rolling, drag), strict=True)
@@ -181,4 +182,4 @@ def _road_load(row: Row) -> str:
 
 
 def _value(row: Row, name: str, unit: str, reason: str) -> str:
-    return f"unestimated ({reason})" if reason else f"{row[f'{name}_mean']:.4g} +- {row[f'{name}_sd']:.2g} {unit}"
+    return f"unestimated ({reason})" if reason else with_sd(row[f"{name}_mean"], row[f"{name}_sd"], unit)

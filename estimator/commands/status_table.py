@@ -104,5 +104,5 @@ def _print_estimate(console: Console, status: StatusAnswer) -> None:
 
 def _told(road: RoadNow) -> str:
     """The road under the vehicle in words."""
-    height = "" if road.height_m is None else f", {road.height_m:+.0f} +- {road.height_sd_m:.0f} m above the start"
-    return f"{road.grade_percent:+.2f} +- {road.sd_percent:.2f} %{height}"
+    height = "" if road.height_m is None else f", {road.height_m:+.0f} ± {road.height_sd_m:.0f} m above the start"
+    return f"{road.grade_percent:+.2f} ± {road.sd_percent:.2f} %{height}"

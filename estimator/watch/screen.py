@@ -114,8 +114,7 @@ def _parameter(
         return
     name, value = (f"{row.name:{NAME}}" if width >= 2 * NAME + 10 else f"{row.name} "), row.value(x.mean)
     interval = row.interval(x.q05, x.q95)
-    half = (x.q95 - x.q05) / 2 / abs(x.mean) if x.mean else math.inf
-    spread = f"± {100 * half:.1f} %" if math.isfinite(half) else ""
+    spread = f"± {100 * x.sd / abs(x.mean):.2f} %" if x.mean and x.sd is not None else ""
     spread = "  ".join(part for part in (spread, "" if is_brief else also) if part)
     past = [p for p in (_past(row, point) for point in progress.history) if p is not None]
     chart = sparkline([p.q95 - p.q05 for p in past], max(width - NAME - len(spread) - 1, 0), glyphs)

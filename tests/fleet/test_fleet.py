@@ -24,6 +24,7 @@ from estimator.answers.diagnosis import Verdict
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
+from estimator.commands.fleet import road_load
 from estimator.commands.main import main
 from estimator.config import Config
 from estimator.diagnosis.result import Diagnosis, Finding, Magnitude
@@ -105,6 +106,14 @@ def test_pandas_and_polars_take_the_table(table: dict[str, Any]) -> None:
     pandas, polars = pytest.importorskip("pandas"), pytest.importorskip("polars")
     assert pandas.DataFrame(table)["mass_kg_mean"].notna().sum() == 2
     assert polars.DataFrame(table)["mass_kg_mean"].is_not_nan().sum() == 2
+
+
+def test_a_vehicle_is_told_with_standard_deviations_in_the_units_of_an_estimate() -> None:
+    values = {"A_per_mass_N_kg": (0.07488, 0.0059), "C_N_s2_m2": (2.866, 0.59), "c_rr": (0.00763, 0.0006)}
+    found = {f"{name}_mean": mean for name, (mean, _) in values.items()}
+    found |= {f"{name}_sd": sd for name, (_, sd) in values.items()} | {"c_d_A_m2_mean": 4.66}
+    told = road_load({**found, "A_per_mass_reason": "", "C_reason": ""})
+    assert told == "A/m 0.0749 ± 0.0059 N/kg (c_rr 0.763 %), C 2.87 ± 0.59 N s²/m² (c_d A 4.66 m²)"
 
 
 class Counted(Serial):

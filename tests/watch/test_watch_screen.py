@@ -55,6 +55,12 @@ def test_a_wide_screen_says_everything() -> None:
         assert words in text
 
 
+def test_behind_a_plus_minus_is_a_standard_deviation() -> None:
+    """As in every other answer; the made parameters have one of 1 %."""
+    text = "\n".join(shown(estimated(), 120, 30))
+    assert text.count("± 1.00 %") == 3
+
+
 def test_every_cell_of_the_map_is_drawn_in_its_state() -> None:
     lines = shown(estimated(), 100, 30)
     plan = "".join(line[50:] for line in lines if "enough" not in line)
