@@ -50,8 +50,8 @@ class Finding(Struct, frozen=True, kw_only=True):
     """One effect: its evidence, its size, and when it acts.
 
     ``probability`` that it acts; of one that is named, that it or one that is ``equivalent`` to it does. ``span_s``
-    holds times from and to, since the first row of the log that ``span_log`` counts; without spans it acts always.
-    ``rms_after_kW``: residual with this effect and those that are named before it.
+    holds times from and to, since the first row of a log, and ``span_log`` its place in ``logs``, from 0; without spans
+    it acts always. ``rms_after_kW``: residual with this effect and those that are named before it.
     """
 
     name: str

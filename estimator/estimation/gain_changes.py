@@ -35,6 +35,7 @@ BESIDE_SDS = (0.3, 0.3)  # prior sd of the simultaneous changes of A/m and C/m, 
 # Vague prior sd of a change in the normal equations, as a share of 1/m; replaced by the one in CHANGES after their
 # correction for noise, because the correction applies to the data and not to the prior.
 VAGUE_SD = 3.0
+CONTRADICTION = "two parts of the drive contradict each other"
 MIN_PROBABILITY = 0.99  # of a change, from which parts of a drive contradict each other
 MIN_SHARE = 0.04  # smallest size of a contradiction, as a share of 1/m: a smaller change only widens the estimate
 
@@ -69,10 +70,9 @@ class GainChanges:
             return ""
         middle, change = found.beta[0] + self.shift[k, 0], found.beta[0] * self.size[k]
         before, after = middle - change / 2, middle + change / 2
-        contradiction = "two parts of the drive contradict each other"
         if min(before, after) <= MIN_INVERSE_MASS:
-            return f"{contradiction}: in one of them speed does not change with force"
-        return f"{contradiction}: mass {_mass(before)} and {_mass(after)} kg"
+            return f"{CONTRADICTION}: in one of them speed does not change with force"
+        return f"{CONTRADICTION}: mass {_mass(before)} and {_mass(after)} kg"
 
 
 def _mass(inverse: float) -> str:

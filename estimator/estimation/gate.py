@@ -81,9 +81,12 @@ class Gate:
         return f"sd of {NAMES[i]} is {share} of its value, above {100 * limit:.0f} %"
 
     def missing_coverage(self, coverage: Coverage) -> str:
-        """Message with the share of the reachable cells that were driven; empty if it is sufficient."""
+        """Message with the share of the reachable cells driven, or with their number; empty if it is sufficient."""
         if coverage.occupied >= self._config.minimum_cells and coverage.fraction >= self._config.coverage:
             return ""
+        if coverage.fraction >= self._config.coverage:
+            reachable = f"{coverage.available} can be reached"
+            return f"coverage {coverage.occupied} of the {self._config.minimum_cells} cells needed ({reachable})"
         share = f"{100 * coverage.fraction:.0f} % of the reachable speed-acceleration cells"
         return f"coverage {share} ({coverage.occupied} of {coverage.available})"
 

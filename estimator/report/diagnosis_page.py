@@ -70,7 +70,8 @@ def _budget(d: Diagnosis) -> str:
     meaning = (
         '<p class="soft">Shares of the mean square of the model&#x27;s residual over means of 2 s, whose root is '
         f"{wording.kilowatts(d.budget.base)}, with 90 % intervals. Left once added: on held-out stretches, "
-        "with the signals there are. Left if it were known: as a signal of its own would show it. The gap is "
+        "with the signals there are. Left if it were known: as a signal of its own would show it, without effects "
+        "that were not found. The gap is "
         f"everything except the noise of the sensors.{_aligned(d)}</p>"
     )
     return figures.budget(d.budget) + tables.budget(d.budget) + meaning

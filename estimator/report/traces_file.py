@@ -36,6 +36,7 @@ def write_traces(traces: Traces, path: Path) -> None:
     table = csv.writer(text)
     table.writerow(COLUMNS)
     columns = [(getattr(traces, name) / unit).tolist() for name, unit in COLUMNS.values()]
+    columns[0] = (traces.log + 1).tolist()  # as text and page number them
     table.writerows([f"{value:.7g}" for value in row] for row in zip(*columns, strict=True))
     with whole(path) as file:
         file.write(text.getvalue().encode())

@@ -113,7 +113,7 @@ def formula(d: Diagnosis) -> str:
     size = number_format.with_sd(d.formula.value, d.formula.sd, d.formula.unit)
     return (
         f"({size}) {d.formula.text} follows it (v speed, a acceleration, F force, n engine speed, t time, s distance): "
-        f"{percent(d.formula.share)} of it is gone on stretches kept from the fit"
+        f"with it {percent(d.formula.share)} of the squared residual is gone on stretches left out of the fit"
     )
 
 

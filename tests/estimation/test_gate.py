@@ -45,7 +45,8 @@ def test_a_fit_that_is_sure_enough_is_covered():
 
 
 def test_coverage_counts():
-    assert gate().obstacle_to_estimate(fit(), Coverage(7, 10)).startswith("coverage 70 %")
+    few = gate().obstacle_to_estimate(fit(), Coverage(5, 5))  # 100 % of them would be no reason
+    assert few == "coverage 5 of the 8 cells needed (5 can be reached)"
     assert (
         gate().obstacle_to_estimate(fit(), Coverage(8, 100))
         == "coverage 8 % of the reachable speed-acceleration cells (8 of 100)"

@@ -38,6 +38,7 @@ from estimator.report import number_format, wording
 from estimator.report.diagnosis_page import page, terms, write_page
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.report.page import figures, tables
+from estimator.report.traces_file import write_traces
 
 DIAGNOSES = {"rich": rich, "several": several, "unknown": unknown, "empty": empty}
 FINDING_KEYS = {
@@ -99,6 +100,14 @@ def test_json_says_which_log_a_time_belongs_to() -> None:
     assert fan.span_log == (0, 1, 1)
     assert (wind.span_s, wind.span_log) == ((), ())
     assert said.logs == ("monday.blf", "tuesday.blf")
+
+
+def test_rows_of_power_have_the_number_of_the_log_that_text_and_page_say(tmp_path: Path) -> None:
+    d = several()
+    write_traces(d.traces, tmp_path / "traces.csv")
+    table = np.genfromtxt(tmp_path / "traces.csv", delimiter=",", names=True)
+    assert sorted(set(table["log"])) == [1, 2]
+    assert "log 1: monday.blf, log 2: tuesday.blf" in page(d)
 
 
 def test_parameters_say_which_of_several_drives_they_are_of() -> None:
@@ -345,6 +354,14 @@ def test_page_is_small_and_the_same_twice() -> None:
     assert page(rich()) == page(rich())
 
 
+def test_folded_rows_are_not_said_to_be_less_than_those_shown() -> None:
+    """Rows of one probability in tenths of a per cent are ordered by their evidence."""
+    near = [finding(name, 0.0006 + 1e-4 * i, log_bayes_factor=-1.0 * i) for i, name in enumerate("abcdefghij")]
+    text = tables.ranking(changed(effects=(), candidates=tuple(near[:8])).ranking + tuple(near[8:]), False)
+    assert "<summary>2 more</summary>" in text
+    assert "less probable" not in page(rich())
+
+
 def test_gap_map_tells_each_cell() -> None:
     d = rich()
     cells = np.isfinite(d.gap_map.plain).sum() + np.isfinite(d.gap_map.extended).sum()
@@ -556,7 +573,7 @@ def test_gap_closed_of_several_effects_is_the_sum_of_their_shares() -> None:
 def test_a_formula_is_told_where_nothing_has_a_name() -> None:
     told = wording.formula(unknown())
     assert told.startswith("(4.10 ± 0.12 W/m) v t follows it ")
-    assert told.endswith("84 % of it is gone on stretches kept from the fit")
+    assert told.endswith("with it 84 % of the squared residual is gone on stretches left out of the fit")
     assert told in html.unescape(page(unknown()))
     assert wording.formula(rich()) == ""
     formula = of_diagnosis(unknown()).remaining.formula

@@ -26,7 +26,7 @@ def ranking(candidates: Sequence[Finding], several: bool) -> str:
         )
         for f in candidates
     ]
-    return _folded(headings, rows, "ranking", "less probable")
+    return _folded(headings, rows, "ranking")
 
 
 def chosen(d: Diagnosis) -> str:
@@ -109,7 +109,7 @@ def where(places: Sequence[Place]) -> str:
         )
         for p in places
     ]
-    return _folded(headings, rows, "where", "smaller")
+    return _folded(headings, rows, "where")
 
 
 def not_testable(effects: Sequence[NotTestable]) -> str:
@@ -177,12 +177,12 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> 
     return f'<table class="data {kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
 
 
-def _folded(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str, rest: str) -> str:
-    """A table whose rows after the first MAX_ROWS are folded away, under their number and the words ``rest``."""
+def _folded(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> str:
+    """A table whose rows after the first MAX_ROWS are folded away, under their number."""
     first, others = table(headings, rows[:MAX_ROWS], kind), rows[MAX_ROWS:]
     if not others:
         return first
-    return f"{first}<details><summary>{len(others)} {rest}</summary>{table(headings, others, kind)}</details>"
+    return f"{first}<details><summary>{len(others)} more</summary>{table(headings, others, kind)}</details>"
 
 
 def _correlation(of: Isolability, i: int, j: int) -> str:
