@@ -26,7 +26,7 @@ class RoadLoad(Struct, frozen=True, kw_only=True):
 
 
 class Magnitude(Struct, frozen=True, kw_only=True):
-    """Size of an effect, in its unit."""
+    """Size of an effect, in its unit; ``slope`` is the standard deviation of slopes that signals show."""
 
     name: str
     value: float | None

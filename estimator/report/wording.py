@@ -8,6 +8,7 @@ from estimator.diagnosis.result import (
     EARLY,
     HIDDEN_GRADE,
     LATE,
+    SHOWN_SLOPE,
     Diagnosis,
     Experiment,
     Finding,
@@ -130,7 +131,7 @@ def _improvement(d: Diagnosis) -> str:
     if is_hidden(first):
         seen = f"A force varies with place like a grade of {100 * first.magnitude.value:.1f} % sd"
         fall = f"from {kilowatts(first.rms_before)} to {kilowatts(first.rms_after)}"
-        beside = listed([f"{label(f.name)} ({label(f.magnitude.name)} {_value(f.magnitude)})" for f in d.effects[1:]])
+        beside = listed([f"{label(f.name)} ({_quantity(f.magnitude)} {_value(f.magnitude)})" for f in d.effects[1:]])
         also = f" Beside it acts {beside}." if beside else ""
         return (
             f"{seen}, and no signal on the bus shows it: with one, the residual could fall {fall}; "
@@ -270,7 +271,7 @@ def size(magnitude: Magnitude) -> str:
     """``wind 6.12 ± 0.41 m/s``."""
     if not math.isfinite(magnitude.value):
         return NOTHING
-    return f"{label(magnitude.name)} {_value(magnitude)}"
+    return f"{_quantity(magnitude)} {_value(magnitude)}"
 
 
 def bayes(x: float | None) -> str:
@@ -335,6 +336,11 @@ def logs(d: Diagnosis) -> str:
 def listed(names: list[str]) -> str:
     """``a, b and c``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1]))) if names else ""
+
+
+def _quantity(magnitude: Magnitude) -> str:
+    """Its name; slopes that signals show are stated by their standard deviation too."""
+    return HIDDEN_GRADE if magnitude.name == SHOWN_SLOPE else label(magnitude.name)
 
 
 def _value(magnitude: Magnitude) -> str:

@@ -23,6 +23,7 @@ from estimator.commands.diagnosis_tables import print_diagnosis
 from estimator.components.budget import ROAD, Budget, Part
 from estimator.diagnosis.result import (
     HIDDEN_GRADE,
+    SHOWN_SLOPE,
     Advice,
     Diagnosis,
     GapClosed,
@@ -562,6 +563,11 @@ def test_any_number_can_be_written(x: float) -> None:
         assert "nan" not in text
         assert "inf" not in text
         assert not text.startswith("-")
+
+
+def test_the_size_of_hills_is_one_quantity_whether_signals_show_them_or_not() -> None:
+    shown = dataclasses.replace(SLOPES, name=SHOWN_SLOPE)
+    assert wording.size(shown) == wording.size(SLOPES) == "sd of the grade 1.42 ± 0.10 %"
 
 
 def test_gap_closed_of_several_effects_is_the_sum_of_their_shares() -> None:
