@@ -94,7 +94,7 @@ def _how_far(d: Diagnosis) -> str:
 
 
 def _of_the_bars(d: Diagnosis) -> str:
-    """What each bar is the root mean square of, and what the shares beside them are of."""
+    """Caption: of what each bar is the root mean square, and of what the shares beside it are."""
     said = ["Root mean square of the residual. The plain road load is fitted to the whole drive."]
     if d.effects or d.given:
         said.append("Effects are judged on stretches left out of the fit.")

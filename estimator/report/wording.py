@@ -103,7 +103,7 @@ def strength_of_rest(d: Diagnosis) -> str:
 
 
 def p_value(d: Diagnosis) -> str:
-    """What the p-value says; empty where it was not asked for."""
+    """P-value with its meaning; empty where it was not asked for."""
     return "" if d.p_value is None else f"{d.p_value:.3g}: how often noise alone gives an effect as much evidence"
 
 
@@ -339,7 +339,7 @@ def listed(names: list[str]) -> str:
 
 
 def _quantity(magnitude: Magnitude) -> str:
-    """Its name; slopes that signals show are stated by their standard deviation too."""
+    """Name of what a magnitude states; slopes that signals show are stated by their standard deviation too."""
     return HIDDEN_GRADE if magnitude.name == SHOWN_SLOPE else label(magnitude.name)
 
 
