@@ -14,8 +14,8 @@ YAWED = (0.0, 0.05, 0.1, 0.2)  # share of C that oblique air adds at TEN_DEGREES
 TEN_DEGREES = pi / 18
 LARGEST_YAW = 0.3  # rad, about the yaw from which on the flow has separated and the drag rises no more
 WINDS = tuple((direction, yawed, LARGEST_YAW, USUAL_WIND) for direction in DIRECTIONS for yawed in YAWED)
-TURNS = tuple(pi / 180 * degree for degree in (-6.0, -2.0, -0.6, -0.2, 0.0, 0.2, 0.6, 2.0, 6.0))  # rad
-STEPS = (-0.03, -0.01, -0.003, 0.0, 0.003, 0.01, 0.03)  # of the share of C, and of the largest yaw [rad]
+TURNS = tuple(pi / 180 * degree for degree in (-6.0, -2.0, -0.6, 0.0, 0.6, 2.0, 6.0))  # rad
+STEPS = (-0.03, -0.01, 0.0, 0.01, 0.03)  # of the share of C, and of the largest yaw [rad]
 LOWEST_WIND = 0.5  # m/s: the column is per 1 m/s, and that of no wind is none
 
 
