@@ -456,7 +456,7 @@ def test_a_filter_whose_lag_is_hardly_unusual_is_known_by_what_it_does_besides(d
 
 @pytest.mark.nightly
 def test_what_has_no_name_is_seen_beside_a_filter(diagnose):
-    puncture = Effect(name="slow_puncture", magnitude=0.4)
+    puncture = Effect(name="slow_puncture", magnitude=0.6)
     answer = diagnose(drive("mixed", 40, 3, Effect(name="speed_filter", magnitude=0.5), puncture))
     assert (answer["verdict"], named(answer)) == ("effect", ["speed_filter"])
     assert answer["remaining"]["verdict"] == "unknown effect"
