@@ -143,12 +143,14 @@ def budget(
     }
     drawn = _with_small_pooled(DrawnPowers.of_drives([drive.drawn for drive in found]), not_chosen)
     shares = {cause: drawn.share(cause) for cause in drawn.causes}
-    all_but_noise = 1 - sum((shares[cause] for cause in (NOISE, WHITE)), np.zeros(DRAWS))
     unfound = [cause for cause in shares if cause == OTHERS or cause in not_chosen]
-    found_share = all_but_noise - sum((shares[cause] for cause in unfound), np.zeros(DRAWS))
+    causes = [cause for cause in shares if cause not in (*unfound, NOISE, WHITE)]
+    found_share, unfound_share = (sum((shares[c] for c in group), np.zeros(DRAWS)) for group in (causes, unfound))
     held_out_rms = {cause: _rms(_without(residual, held_out, {cause})) for cause in held_out}
     parts = [
-        _part(cause, cause in given, drawn, held_out_rms.get(cause), (found_share, all_but_noise), unfound)
+        _part(
+            cause, cause in given, drawn, held_out_rms.get(cause), (found_share, found_share + unfound_share), unfound
+        )
         for cause in shares
     ]
     return Budget(

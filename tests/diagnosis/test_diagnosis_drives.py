@@ -71,6 +71,7 @@ def only(answer: Answer, name: str) -> Answer:
     assert closed["fraction"] > 0.7
     assert not closed["q05"] > closed["fraction"]
     assert not closed["q95"] < closed["fraction"]
+    assert closed["fraction"] == 1.0 or closed["fraction"] < 1 - 1e-9  # it is all that was found, or not
     return effect
 
 
