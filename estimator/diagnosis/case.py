@@ -8,7 +8,7 @@ from estimator.components.plain_model import PlainModel
 from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of, wrong_unit_of
 from estimator.estimation.road_fit import RoadFit, fit, search_of
-from estimator.estimation.road_signals import contradicted
+from estimator.estimation.road_signals import constant, contradicted
 from estimator.estimation.scales import RoadScales
 from estimator.estimation.shapes import fitted_with_shapes, is_free, nearer_shapes, terms_of
 from estimator.model.effect_term import EffectTerm
@@ -24,7 +24,7 @@ class Case:
     """A ``drive`` and the effects ``given`` by the configuration.
 
     ``terms`` hold the given effects that have a column; the slope of the road is a state and has none. Signals of the
-    road that are ``contradicted`` by the others have no values in the drive's strides.
+    road that never change, or are ``contradicted`` by the others, have no values in the drive's strides.
     """
 
     drive: Drive
@@ -52,7 +52,8 @@ class Case:
         lightest, force = drive.config.prior.mass_kg[0], driven.power / driven.speed
         if reason := wrong_sign_of(driven.power, driven.a) or wrong_unit_of(force, driven.a, lightest):
             return reason
-        others = contradicted(drive.strides, search_of)
+        without_change = constant(drive.strides)
+        others = (*without_change, *contradicted(drive.strides.without(without_change), search_of))
         drive = replace(drive, strides=drive.strides.without(others))
         moving = [effect for effect in given if not (effect.is_gravity or effect.is_absorbed)]
         terms = _terms(drive, moving) if moving else ()

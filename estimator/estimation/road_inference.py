@@ -40,7 +40,7 @@ from estimator.estimation.road_fit import (
 )
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
-from estimator.estimation.road_signals import contradicted, shown_by
+from estimator.estimation.road_signals import constant, contradicted, shown_by
 from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.scales import RoadScales
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
@@ -223,7 +223,8 @@ class RoadInference:
 
     def _fit(self, strides: Strides, held: int, is_last: bool) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        signals = tuple(shown_by(strides))
+        without_change = constant(strides)
+        strides, signals = strides.without(without_change), tuple(shown_by(strides))
         is_due = _has_changed(held, self._compared, MIN_GROWTH**3)  # each third search
         if signals != self._signals or (is_due and not self._contradicted):
             self._signals, self._compared, limit = signals, held, self._config.kinematics.maximum_lag_s
@@ -243,7 +244,7 @@ class RoadInference:
         if grown or self._scales is None or found.scales.readings != self._scales.readings:
             self._fitted = held
         self._scales = found.scales
-        return replace(averaged(strides, found).checked(), contradicted=self._contradicted)
+        return replace(averaged(strides, found).checked(), contradicted=(*without_change, *self._contradicted))
 
     def _fitted_beside(
         self, strides: Strides, terms: tuple[EffectTerm, ...], scales: RoadScales | None, is_last: bool, is_search: bool

@@ -41,6 +41,11 @@ def shown_by(strides: Strides) -> list[str]:
     return [name for name, readings in _readings(strides) if np.ptp(readings) > 0]
 
 
+def constant(strides: Strides) -> tuple[str, ...]:
+    """Names of the signals of the road that never change."""
+    return tuple(name for name, readings in _readings(strides) if np.ptp(readings) == 0)
+
+
 def _readings(strides: Strides) -> list[tuple[str, Floats]]:
     """Name and known readings of each signal of the road that has any."""
     readings = ((name, getattr(strides, name)) for name in SIGNALS)
@@ -49,11 +54,11 @@ def _readings(strides: Strides) -> list[tuple[str, Floats]]:
 
 
 def contradicted(strides: Strides, search_of: SearchOf) -> tuple[str, ...]:
-    """Signals of the road that never change, and those that the force and the others contradict, the most one first.
+    """Signals of the road that the force and the others contradict, the most contradicted one first.
 
-    ``search_of`` makes the search over strides. One signal that changes is always left.
+    ``search_of`` makes the search over strides, which have no `constant` signals. One signal is always left.
     """
-    left_out = tuple(name for name, readings in _readings(strides) if np.ptp(readings) == 0)
+    left_out = tuple[str, ...]()
     while name := _most_contradicted(strides.without(left_out), search_of):
         left_out = *left_out, name
     return left_out

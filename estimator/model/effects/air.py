@@ -31,7 +31,7 @@ def _wind(view: View, wind: Shape) -> Floats:
 
 
 def _finer_winds(wind: Shape, speed: float) -> tuple[Shape, ...]:
-    """Winds near a shape with the fitted ``speed`` [m/s], where their columns are exact.
+    """Winds near a shape, with its speed and with the fitted ``speed`` [m/s], at which their columns are exact.
 
     The yaw of the most drag differs between bodies: at one that is given, 0.04 rad too large, C is wrong by 3 sd.
     """
