@@ -86,7 +86,7 @@ def check_units(source: str, table: Table, there: Container[str], given: Mapping
 
 
 def _meaning(unit: str) -> Conversion | float | None:
-    """What a unit stands for: of the speed, the force, the time ...; None if it is not known."""
+    """Conversion or factor of a unit, of a signal, a force or a time; None if it is not known."""
     return FORCE_UNITS.get(normal_form(unit)) or seconds_in(unit) or conversion_of(unit)
 
 

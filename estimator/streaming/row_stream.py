@@ -66,7 +66,7 @@ class Block:
         return between(self.decoded, *self.span)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Interruption:
     """Silence, or step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
 
@@ -398,7 +398,7 @@ class RowStream:
             pass
         self.rows.pause()
         self._aligner.forget()
-        return Interruption(self._block_end - BLOCK, end, is_new_drive=True, is_sender_replaced=True)
+        return Interruption(start=self._block_end - BLOCK, end=end, is_new_drive=True, is_sender_replaced=True)
 
     def _note_readings(self, readings: Readings) -> None:
         """Count readings, and keep the time of the newest valid one of each role."""
@@ -416,7 +416,7 @@ class RowStream:
         assert last is not None
         yield from self._end()
         self.rows.gaps.append((last, t))
-        interruption = Interruption(last, t, is_new_drive=not 0 <= t - last <= MIN_NEW_DRIVE_SILENCE)
+        interruption = Interruption(start=last, end=t, is_new_drive=not 0 <= t - last <= MIN_NEW_DRIVE_SILENCE)
         if interruption.is_step_back:
             self._aligner.forget()
             self._decoder.release(is_other_vehicle=True)
@@ -427,7 +427,7 @@ class RowStream:
         self._is_restored = False
         last = self._until
         if last is None:
-            return Interruption(None, t, is_new_drive=True)
+            return Interruption(start=None, end=t, is_new_drive=True)
         self.rows.gaps.append((last, t))
         gap = away = t - last
         if self._now is not None and self._fed is not None:
@@ -435,9 +435,9 @@ class RowStream:
         same_load = self._same_clock and last >= MIN_SET_CLOCK and 0 <= gap <= away <= MIN_NEW_DRIVE_SILENCE
         if not same_load:
             self._decoder.release()
-        return Interruption(last, t, is_new_drive=not same_load, hidden=away - gap if same_load else 0.0)
+        return Interruption(start=last, end=t, is_new_drive=not same_load, hidden=away - gap if same_load else 0.0)
 
 
 def _silence(start: float, end: float) -> Interruption:
     """Interruption in which speed and power were not read."""
-    return Interruption(start, end, is_new_drive=end - start > MIN_NEW_DRIVE_SILENCE)
+    return Interruption(start=start, end=end, is_new_drive=end - start > MIN_NEW_DRIVE_SILENCE)
