@@ -8,6 +8,7 @@ from math import sqrt
 from estimator.units import STANDARD_DENSITY
 
 PARAMETERS = ("A", "C", "m")  # order of every parameter vector: [N], [N s^2/m^2], [kg]
+CONTRADICTION = "two parts of the drive contradict each other"  # start of a reason, for which there is other advice
 
 
 class Status(StrEnum):

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.estimates import CONTRADICTION
 from estimator.estimation.mixture import between
 from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit
 from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
@@ -35,7 +36,6 @@ BESIDE_SDS = (0.3, 0.3)  # prior sd of the simultaneous changes of A/m and C/m, 
 # Vague prior sd of a change in the normal equations, as a share of 1/m; replaced by the one in CHANGES after their
 # correction for noise, because the correction applies to the data and not to the prior.
 VAGUE_SD = 3.0
-CONTRADICTION = "two parts of the drive contradict each other"
 MIN_PROBABILITY = 0.99  # of a change, from which parts of a drive contradict each other
 MIN_SHARE = 0.04  # smallest size of a contradiction, as a share of 1/m: a smaller change only widens the estimate
 

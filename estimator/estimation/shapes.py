@@ -1,8 +1,8 @@
 """The shapes of the effects in a fit that no signal tells: a time constant, or the direction and the speed of a wind.
 
 The first shape is the one of a grid with most evidence beside the plain road load, the next ones are near the present
-one, given the magnitude that it was found with. The scales of road and noise that a fit finds beside a poor shape hold
-some of the effect, so fits and shapes alternate.
+one, given the magnitude that it was found with. Near shapes are compared at the magnitudes at which they are exact. The
+scales of road and noise that a fit finds beside a poor shape hold some of the effect, so fits and shapes alternate.
 
 A time constant or a wind is known only roughly. With the posterior probabilities w_i of the shapes of an effect, and
 beta_i the coefficients with each,

@@ -1,7 +1,6 @@
 """The advice beside a status that is not "estimated": the next step of a user."""
 
-from estimator.estimates import Estimate, Status
-from estimator.estimation.gain_changes import CONTRADICTION
+from estimator.estimates import CONTRADICTION, Estimate, Status
 from estimator.samples import STEP
 from estimator.settings import Gate
 from estimator.streaming.replay import Run

@@ -5,8 +5,7 @@ from collections import Counter
 import pytest
 
 from estimator.config import from_dict
-from estimator.estimates import Coverage, Estimate, Status
-from estimator.estimation.gain_changes import CONTRADICTION
+from estimator.estimates import CONTRADICTION, Coverage, Estimate, Status
 from estimator.report.next_step import next_step
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.replay import Run
