@@ -213,35 +213,37 @@ class Factor:
         """
         reach, size = len(self.lower) - 1, self.lower.shape[1]
         width = max(reach, MIN_BLOCK)
-        inverse_band, after = np.empty_like(self.lower, order="C"), np.zeros((width, width))
+        inverse_band, after = np.empty((reach + 1, size)), np.zeros((width, width))
         for begin in reversed(range(0, size, SEGMENT * width)):
-            part = self.lower[:, begin : begin + SEGMENT * width]
-            number = -(-part.shape[1] // width)
-            padded = np.zeros((reach + 1, number * width))
-            padded[0] = 1.0
-            padded[:, : part.shape[1]] = part
+            part = self.lower[:, begin : begin + SEGMENT * width].T
+            number = -(-len(part) // width)
+            padded = np.zeros((number * width, reach + 1))
+            padded[: len(part)], padded[len(part) :, 0] = part, 1.0
             blocks, stored = _blocks(number, width, reach)
             stored[:] = padded.reshape(stored.shape)
-            inverse = np.array([dtrtri(block.T, lower=0)[0].T for block in blocks[:, :width]])
+            inverse = blocks[:, :width]
+            for block in inverse:
+                dtrtri(block.T, lower=0, overwrite_c=1)
             diagonal, turned = inverse.transpose(0, 2, 1) @ inverse, blocks[:, width:] @ inverse
             across, product = np.empty_like(turned), np.empty((width, width))
             for turn, S_kk_G, S_ii in zip(turned[::-1], across[::-1], diagonal[::-1], strict=True):
-                np.matmul(after, turn, out=S_kk_G)
-                S_ii += np.matmul(turn.T, S_kk_G, out=product)
+                np.dot(after, turn, out=S_kk_G)
+                S_ii += np.dot(turn.T, S_kk_G, out=product)
                 after = S_ii
             blocks[:, :width] = diagonal
             np.negative(across, out=blocks[:, width:])
-            inverse_band[:, begin : begin + part.shape[1]] = stored.reshape(reach + 1, -1)[:, : part.shape[1]]
+            padded.reshape(stored.shape)[:] = stored
+            inverse_band[:, begin : begin + len(part)] = padded[: len(part)].T
         return inverse_band
 
 
 def _blocks(number: int, width: int, reach: int) -> tuple[Floats, Floats]:
     """Two views of one memory of zeros: as blocks and as a band.
 
-    The blocks (number, 2 width, width) are those on the diagonal over those below it. The band is (reach + 1, number,
-    width), with element (d, i, j) at (i, j + d, j) of the blocks.
+    The blocks (number, 2 width, width) are those on the diagonal over those below it. The band is (number, width,
+    reach + 1), with element (i, j, d) at (i, j + d, j) of the blocks.
     """
     blocks = np.zeros((number, 2 * width, width))
     block, row, column = blocks.strides
-    stored = as_strided(blocks, (reach + 1, number, width), (row, block, row + column))
+    stored = as_strided(blocks, (number, width, reach + 1), (block, row + column, row))
     return blocks, stored
