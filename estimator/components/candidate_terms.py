@@ -5,9 +5,7 @@ from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
-
-from estimator.components.drive_state import DriveState, has_free_times, slow_noise
+from estimator.components.drive_state import DriveState, has_free_times
 from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
@@ -16,7 +14,7 @@ from estimator.components.time_prior import is_usual, observed_spans, prior_cost
 from estimator.estimation.shapes import is_free, near
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
-from estimator.model.spans import Spans, cut, union, without
+from estimator.model.spans import Spans, union, without
 from estimator.signals import Floats
 
 
@@ -30,20 +28,6 @@ class CandidateTerm:
     term: Term
     key: object
     is_event: bool
-
-
-@dataclass(frozen=True)
-class _Proposed:
-    """Times proposed for effects beside the terms ``chosen`` in a fit, with the slow noise (2,) of that fit."""
-
-    chosen: object
-    noise: Floats
-    times: set[Spans]
-
-    def is_outdated(self, chosen: object, drive: DriveState) -> bool:
-        """True if the chosen terms or their times differ, or the slow noise of the drive has halved or doubled."""
-        changed = np.abs(np.log2(slow_noise(drive.fit.scales.values) / self.noise))
-        return self.chosen != chosen or bool(changed.max() >= 1.0)
 
 
 class EarlierTerms:
@@ -76,9 +60,8 @@ class CandidateTerms:
     """Candidate terms on the drives of one vehicle: of ``effects``, beside the terms ``given`` for each drive.
 
     Fitted times of effects are proposed beside the latest chosen terms, and for two chosen effects together, between
-    which runs may pass. These are renewed once the chosen terms or their times change, or the slow noise halves or
-    doubles. Those of fits without timed terms and stretches are kept. Those of earlier searches, in ``earlier_terms``,
-    are reused.
+    which runs may pass. These are renewed once the chosen terms or their times change. Those of fits without timed
+    terms and stretches are kept. Those of earlier searches, in ``earlier_terms``, are reused.
 
     Shapes near those of chosen effects are candidates, and so are shapes near those in ``earlier_terms``.
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.
@@ -89,9 +72,8 @@ class CandidateTerms:
         self._given, self._earlier_terms = given, earlier_terms
         # Best times of two chosen effects together, by name, for each pair on the drive of a number.
         self.pairs: dict[int, list[dict[str, Spans]]] = defaultdict(list)
-        self._latest: dict[int, _Proposed] = {}
+        self._latest: dict[int, tuple[object, set[Spans]]] = {}  # chosen terms, and times proposed beside them
         self._untimed: dict[int, set[Spans]] = defaultdict(set)
-        self._steep: dict[int, set[Spans]] = defaultdict(set)
         self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
 
     def on_drive(
@@ -114,17 +96,17 @@ class CandidateTerms:
         """Times at which effects may act: those of chosen terms, and the proposed ones."""
         steep = None if drive.stretches is None else drive.stretches.spans
         chosen = (*((effect_term.effect.name, effect_term.spans) for effect_term in drive.fit.terms), steep)
-        if number not in self._latest or self._latest[number].is_outdated(chosen, drive):
+        if number not in self._latest or self._latest[number][0] != chosen:
             switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_road_hidden else [])]
             times = set[Spans]().union(*map(switching.proposed, timed))
             if steep is None and not any(term.is_timed for term in drive.chosen):
                 self._untimed[number] |= times
             acting = [effect for effect in self._timed if any(term.name == effect.name for term in drive.chosen)]
             self.pairs[number] = list(map(switching.best_pair, combinations(acting, 2)))
-            self._latest[number] = _Proposed(chosen, slow_noise(drive.fit.scales.values), times)
+            self._latest[number] = chosen, times
         present = [term.spans for term in drive.chosen if term.is_timed and term.spans]
         present += [] if steep is None else [steep]
-        proposed = self._latest[number].times | self._untimed[number] | self._earlier_terms.times[number]
+        proposed = self._latest[number][1] | self._untimed[number] | self._earlier_terms.times[number]
         preferred = [*(spans for pair in self.pairs[number] for spans in pair.values() if spans), *present]
         return _different({*preferred, *proposed}, preferred, drive.fit.strides.t)
 
@@ -172,17 +154,11 @@ class CandidateTerms:
     def _stretches(
         self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]
     ) -> Iterator[CandidateTerm]:
-        """Stretches of the road at fitted times, and at all times of stretches chosen so far.
-
-        The times of the latest chosen stretches are also united with, reduced by and cut at the proposed times.
-        """
+        """Stretches of the road at fitted times; those chosen last also united with and reduced by these."""
         present, changed = None if drive.stretches is None else drive.stretches.spans, set[Spans]()
         if present:
-            self._steep[number].add(present)
-            changed = {change(present, new) for new in self._latest[number].times for change in (union, without, cut)}
-        for spans in _different(
-            {*times, *changed, *self._steep[number]}, [present] if present else [], frame.strides.t
-        ):
+            changed = {change(present, new) for new in self._latest[number][1] for change in (union, without)}
+        for spans in _different({*times, *changed}, [present] if present else [], frame.strides.t):
             for term in stretches(frame, spans):
                 yield CandidateTerm(term=term, key=spans, is_event=True)
 

@@ -140,8 +140,8 @@ class DriveState:
     @property
     def has_unusual_noise(self) -> bool:
         """True if slow noise of torque or power exceeds its prior centre by one prior sd: it may hide effects."""
-        usual = slow_noise(np.array([scale.centre for scale in SCALES]))
-        return bool(np.any(np.log(slow_noise(self.fit.scales.values) / usual) > _SPREADS))
+        usual = _slow_noise(np.array([scale.centre for scale in SCALES]))
+        return bool(np.any(np.log(_slow_noise(self.fit.scales.values) / usual) > _SPREADS))
 
     def with_usual_noise(self) -> "DriveState":
         """Copy with noise sd and correlation time of torque and power capped at the centres of their priors."""
@@ -213,7 +213,7 @@ class DriveState:
         return best_terms
 
 
-def slow_noise(scales: Floats) -> Floats:
+def _slow_noise(scales: Floats) -> Floats:
     """Slow noise (2,) [m/s^1.5] of torque and power: sd times the square root of the correlation time.
 
     It is proportional to the root of the spectral density at the low frequencies of effects.
