@@ -98,8 +98,8 @@ def _of_the_bars(d: Diagnosis) -> str:
     said = ["Root mean square of the residual. The plain road load is fitted to the whole drive."]
     if d.effects or d.given:
         said.append("Effects are judged on stretches left out of the fit.")
-    if any(wording.is_hidden(effect) for effect in d.effects):
-        said.append(f"If the road were known: expected of the {wording.base_name(d)} with true slopes, nothing else.")
+    if known := wording.road_known(d):
+        said.append(f"The {wording.base_name(d)} {known[0]}: expected with true slopes.")
     elif wording.if_road_were_exact(d) is not None:
         said.append("If its road were exact: expected with true slopes.")
     said.append("Grey is the noise floor, colour what lies above it.")
@@ -179,9 +179,9 @@ def _left(d: Diagnosis) -> str:
 
 
 def _if_known(d: Diagnosis) -> str:
-    """Residual that a road that no signal shows would leave if it were known; empty where there is none."""
-    hidden = next((effect for effect in d.effects if wording.is_hidden(effect)), None)
-    return "" if hidden is None else f", {wording.kilowatts(hidden.rms_after)} if the road were known"
+    """Residual that the model as configured would leave if the road were known; empty where signals show it."""
+    known = wording.road_known(d)
+    return "" if known is None else f" (that of the {wording.base_name(d)} is {wording.kilowatts(known[1])} {known[0]})"
 
 
 def terms(limits: Thresholds) -> dict[str, str]:

@@ -133,8 +133,9 @@ def _improvement(d: Diagnosis) -> str:
         fall = f"from {kilowatts(first.rms_before)} to {kilowatts(first.rms_after)}"
         beside = listed([f"{label(f.name)} ({_quantity(f.magnitude)} {_value(f.magnitude)})" for f in d.effects[1:]])
         also = f" Beside it acts {beside}." if beside else ""
+        aside = "".join(f" of the {base_name(d)}, {words}," for words in _aside(d, first))
         return (
-            f"{seen}, and no signal on the bus shows it: with one, the residual could fall {fall}; "
+            f"{seen}, and no signal on the bus shows it: with one, the residual{aside} could fall {fall}; "
             f"roadload estimate counts with such a road by itself.{also}"
         )
     effects = listed([f"{label(f.name)} ({size(f.magnitude)})" for f in d.effects])
@@ -188,6 +189,24 @@ def gap_share(d: Diagnosis) -> float | None:
 def is_hidden(effect: Finding) -> bool:
     """Whether it is a grade that no signal shows: it is in the model as a state."""
     return effect.magnitude.name == HIDDEN_GRADE
+
+
+def road_known(d: Diagnosis) -> tuple[str, float] | None:
+    """Name and residual [W] of the model as configured if a road that no signal shows were known; None without one.
+
+    A lag is taken out, other effects are not: so it is no step of the `ladder`, and its name says what it leaves aside.
+    """
+    hidden = next((effect for effect in d.effects if is_hidden(effect)), None)
+    if hidden is None:
+        return None
+    late = [f"{label(f.name)} taken out" for f in d.effects if f.name in (LATE, EARLY)]
+    return ", ".join(["if the road were known", *late, *_aside(d, hidden)]), hidden.rms_after
+
+
+def _aside(d: Diagnosis, hidden: Finding) -> list[str]:
+    """``without a and b``: the effects that are named beside a ``hidden`` road, but for a lag; empty if none is."""
+    aside = [label(f.name) for f in d.effects if f is not hidden and f.name not in (LATE, EARLY)]
+    return [f"without {listed(aside)}"] if aside else []
 
 
 def base_name(d: Diagnosis) -> str:

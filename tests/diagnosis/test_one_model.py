@@ -12,10 +12,12 @@ from simulated_logs import CLIMB, drive, written
 from estimator.components.drive_state import DriveState
 from estimator.config import from_dict, load, replace
 from estimator.diagnosis.case import Case
-from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis
 from estimator.model.effects import BY_NAME
 from estimator.report import wording
 from estimator.report.diagnosis_page import page
+from estimator.report.diagnosis_plots import gap
+from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.settings import Bus
 from estimator.simulation.effects.effect import Effect
 from estimator.streaming.drive_extraction import diagnose_logs, drives_of
@@ -87,6 +89,24 @@ def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
     assert stated in document
     assert f"to {wording.kilowatts(known)}" in wording.reason(d)
     assert mean_square(d, "extended") < 0.3 * mean_square(d, "plain")
+
+
+def test_a_known_road_is_told_apart_from_an_effect_beside_it(tmp_path: Path) -> None:
+    """What it leaves is of the model without the effect: in bars, picture, text, JSON and curve, under that name."""
+    recording = drive("mixed", 20, 7, HILLS, Effect(name="auxiliary_cycling", magnitude=40e3), without=CLIMB)
+    d = diagnose_logs(written(recording, tmp_path / "hidden.blf"), from_dict({}))
+    grade, fan = d.effects
+    assert (grade.magnitude.name, fan.name) == (HIDDEN_GRADE, "auxiliary_cycling")
+    assert d.rms_final < grade.rms_after
+    name, known = "if the road were known, without auxiliary cycling", wording.kilowatts(grade.rms_after)
+    assert 1e3 * of_diagnosis(d).effects[0].rms_after_kW == pytest.approx(grade.rms_after)
+    assert rms(d.traces.measured - d.traces.road_known) == pytest.approx(grade.rms_after, rel=1e-9)
+    lists = re.findall(r'<ul class="bars".*?</ul>', page(d))
+    steps, apart = (re.findall(r"<li><span>(.*?)</span>.*?<span>(.*?)</span></li>", each) for each in lists)
+    told = [*wording.ladder(d), ("noise floor", d.noise_floor)]
+    assert steps == [(step, wording.kilowatts(power)) for step, power in told]
+    assert apart == [(f"plain model {name}", known)]
+    assert [panel.get_title(loc="left") for panel in gap(d).axes][1] == f"{name}: {known} rms"
 
 
 def test_a_known_road_leaves_what_an_exact_altimeter_leaves(hidden, tmp_path):

@@ -313,10 +313,41 @@ def test_a_road_that_no_signal_shows_is_a_step_by_the_force_alone() -> None:
     assert wording.closes(d, none) == "closes 0 % of the gap, takes the residual from 2.9 kW to 2.5 kW"
     assert wording.closes(d, fan) == "takes the residual from 2.9 kW to 2.5 kW"
     assert wording.closes(d, HILLS) == ""
-    bars = figures.bars(d)
-    assert "if the road were known</span>" in bars
-    assert bars.count("<li>") == 5  # and the noise floor
-    assert "known: expected of the plain model with true slopes, nothing else" in page(d)
+
+
+def test_a_known_road_is_no_step_where_it_leaves_an_effect_aside() -> None:
+    """It has a list of its own, and its name says of which model it is: in bars, curves, map, caption and text."""
+    fan = finding("auxiliary_cycling", 1.0, rms_after=2_500.0)
+    d = changed(effects=(HILLS, fan), rms_base=13.4e3, rms_final=2_500.0)
+    steps, apart = figures.bars(d).split("</ul>")[:2]
+    assert drawn(steps) == [("plain model", 13.4e3), ("+ auxiliary cycling", 2_500.0), ("noise floor", 3_300.0)]
+    name = "if the road were known, without auxiliary cycling"
+    said = of_diagnosis(d)
+    assert drawn(apart) == [(f"plain model {name}", 1e3 * said.effects[0].rms_after_kW)]
+    assert "For comparison, no further step:" in apart
+    assert figures.improved(d, d.traces).name == name
+    document = page(d)
+    assert f"The plain model {name}: expected with true slopes." in document
+    assert f"The residual is 2.5 kW (that of the plain model is 3.3 kW {name})" in document
+    assert document.count(f"Residual, {name}, over") == 2  # alternative texts, and that of the map
+    assert f"Gap map, {name}: " in document
+    assert "the residual of the plain model, without auxiliary cycling, could fall from 13.4 kW to 3.3 kW" in document
+
+
+def test_a_known_road_says_that_a_lag_is_taken_out() -> None:
+    late = finding("time_lag", 1.0, rms_before=14e3, rms_after=13.4e3)
+    assert wording.road_known(changed(effects=(HILLS, late)))[0] == "if the road were known, time lag taken out"
+    assert wording.road_known(changed(effects=(HILLS,))) == ("if the road were known", HILLS.rms_after)
+    assert wording.road_known(rich()) is None
+
+
+def drawn(bars: str) -> list[tuple[str, float]]:
+    """Names and residuals [W] of the bars, whose widths must be in the ratio of the numbers beside them."""
+    rows = re.findall(r"<li><span>(.*?)</span>(.*?)<span>([\d.]+) kW</span></li>", bars)
+    widths = [sum(map(float, re.findall(r"width:([\d.]+)%", row))) for _, row, _ in rows]
+    powers = [1e3 * float(power) for _, _, power in rows]
+    assert widths == pytest.approx([100 * power / 13.4e3 for power in powers], abs=0.11)
+    return [(name, power) for (name, _, _), power in zip(rows, powers, strict=True)]
 
 
 def test_the_caption_of_the_bars_says_what_each_is_of() -> None:

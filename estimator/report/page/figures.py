@@ -33,8 +33,8 @@ def improved(d: Diagnosis, traces: Traces) -> Improved | None:
     """The model that the headline is of: with all that was found, or with a road that no signal shows; None if none."""
     if not d.effects:
         return None
-    if any(wording.is_hidden(effect) for effect in d.effects):
-        return Improved("if the road were known", traces.road_known)
+    if known := wording.road_known(d):
+        return Improved(known[0], traces.road_known)
     return Improved("with the effects", traces.extended)
 
 
@@ -169,29 +169,39 @@ def power(traces: Traces, base: str, better: Improved | None) -> str:
 
 
 def bars(d: Diagnosis) -> str:
-    """The residual from the model as configured down to the noise floor, one bar an effect."""
-    rows = [(name, rms) for name, rms in wording.ladder(d) if math.isfinite(rms)]
-    rows += [("if the road were known", effect.rms_after) for effect in d.effects if wording.is_hidden(effect)]
-    exact = wording.if_road_were_exact(d)
-    rows += [] if exact is None else [("if its road were exact", exact)]
+    """The residual from the model as configured down to the noise floor, one bar an effect.
+
+    What a known road would leave has a list of its own: other effects are not in it, so it is no further step.
+    """
+    steps = [(name, rms) for name, rms in wording.ladder(d) if math.isfinite(rms)]
+    exact, known = wording.if_road_were_exact(d), wording.road_known(d)
+    steps += [] if exact is None else [("if its road were exact", exact)]
+    apart = [] if known is None else [(f"{wording.base_name(d)} {known[0]}", known[1])]
     floor = d.noise_floor if d.noise_floor is not None and math.isfinite(d.noise_floor) else 0.0
-    greatest = max([floor, *(rms for _, rms in rows)], default=0.0)
+    greatest = max([floor, *(rms for _, rms in steps + apart)], default=0.0)
     if not greatest > 0:
         return ""
-    lines = []
-    for i, (name, rms) in enumerate(rows):
-        noise, gap = min(rms, floor) / greatest, max(rms - floor, 0) / greatest
-        lines.append(
-            f'<li><span>{html.escape(name)}</span><b class="bar"><i class="noise" style="width:{noise:.1%}"></i>'
-            f'<i class="{"after" if i else "before"}" style="width:{gap:.1%}"></i></b>'
-            f"<span>{wording.kilowatts(rms)}</span></li>"
-        )
-    if floor:
-        lines.append(
-            f'<li><span>noise floor</span><b class="bar"><i class="noise" style="width:{floor / greatest:.1%}"></i></b>'
-            f"<span>{wording.kilowatts(floor)}</span></li>"
-        )
-    return f'<ul class="bars" aria-label="Residual, root mean square">{"".join(lines)}</ul>'
+    kinds = ["before", *("after" for _ in steps[1:])]
+    lines = [_bar(name, rms, floor, greatest, kind) for (name, rms), kind in zip(steps, kinds, strict=True)]
+    lines += [_bar("noise floor", floor, floor, greatest, "after")] if floor else []
+    drawn = f'<ul class="bars" aria-label="Residual, root mean square, step by step">{"".join(lines)}</ul>'
+    if not apart:
+        return drawn
+    other = "".join(_bar(name, rms, floor, greatest, "after") for name, rms in apart)
+    return (
+        f'{drawn}<p class="soft">For comparison, no further step:</p>'
+        f'<ul class="bars" aria-label="Residual, root mean square, no further step">{other}</ul>'
+    )
+
+
+def _bar(name: str, rms: float, floor: float, greatest: float, kind: str) -> str:
+    """One entry: grey up to the noise ``floor`` [W], and the colour of its ``kind`` above it."""
+    noise, gap = min(rms, floor) / greatest, max(rms - floor, 0) / greatest
+    coloured = f'<i class="{kind}" style="width:{gap:.1%}"></i>' if rms > floor else ""
+    return (
+        f'<li><span>{html.escape(name)}</span><b class="bar"><i class="noise" style="width:{noise:.1%}"></i>'
+        f"{coloured}</b><span>{wording.kilowatts(rms)}</span></li>"
+    )
 
 
 def budget(whole: Budget) -> str:
