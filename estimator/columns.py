@@ -27,7 +27,7 @@ class Column:
 EVIDENCE = (  # for an effect
     Column("probability", "number", "1"),
     Column("log_bayes_factor", "number", "1", "natural logarithm"),
-    Column("magnitude", "text", meaning="quantity that is estimated"),
+    Column("magnitude", "text", meaning='quantity that is estimated; "slope": sd of a grade that signals show'),
     Column("value", "number", meaning="of the magnitude, in `unit`"),
     Column("sd", "number", meaning="of the magnitude, in `unit`"),
     Column("unit", "text"),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from estimator.columns import Row
+from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE, Magnitude
 from estimator.fleet.population import MIN_VEHICLES
 from estimator.fleet.road import LearnedRoad
 from estimator.fleet.road_page import road_figures
@@ -33,6 +34,7 @@ SHORT = 10  # h of driving, given in minutes below
 STRONG_CHANGE = 10.0  # %, shown in the full colour
 PARAMETERS = (("A_per_mass_N_kg", "A/m", "N/kg"), ("C_N_s2_m2", "C", "N s²/m²"))
 DERIVED = dict(zip((name for name, _, _ in PARAMETERS), COEFFICIENTS, strict=True))  # what follows from each
+HOW_SHOWN = {SHOWN_SLOPE: ", shown by signals", HIDDEN_GRADE: ", shown by no signal"}  # by the magnitude of a road
 NUMBERS = re.compile(r"[+-]?\d[\d.,]*")
 TERMS = (
     ("A/m", "rolling and friction force over the moving mass, rotating parts included"),
@@ -326,14 +328,15 @@ def _gaps(of: Tables) -> str:
     for row in of.effects:
         by_effect[row["effect"], row["magnitude"], row["unit"]].append(row)
     rows: list[tuple[Any, ...]] = []
-    for (effect, _, _), effects in sorted(by_effect.items(), key=lambda item: -len(item[1])):
-        size = with_sd(float(np.median([abs(row["value"]) for row in effects])), np.nan, effects[0]["unit"])
+    for (effect, quantity, unit), effects in sorted(by_effect.items(), key=lambda item: -len(item[1])):
+        middle = float(np.median([abs(row["value"]) for row in effects]))
+        size = wording.size(Magnitude(quantity, middle, np.nan, unit))
         share = 100 * len(effects) / diagnosed
         bar = f'<b class="bar"><i class="after" style="width:{min(share, 100):.1f}%"></i></b>'
         vehicles = len({row["vehicle"] for row in effects})
-        what = html.escape(f"{effects[0]['magnitude']} {size}")
+        cause = wording.label(effect) + HOW_SHOWN.get(quantity, "")
         meter = f'<span class="meter">{bar}{share:.0f} %</span>'
-        rows.append((html.escape(wording.label(effect)), f"{len(effects):,}", meter, f"{vehicles:,}", what))
+        rows.append((html.escape(cause), f"{len(effects):,}", meter, f"{vehicles:,}", html.escape(size)))
     said = ", ".join(f"{verdict} {count:,}" for verdict, count in verdicts.most_common())
     headings = ("cause", "drives", "of the diagnosed", "vehicles", "usual size, absolute")
     return f"<p>{counted(diagnosed, 'drive')} diagnosed: {html.escape(said)}.</p>{table(headings, rows, 'gaps')}"

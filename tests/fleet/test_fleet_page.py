@@ -11,6 +11,8 @@ from browser_page import opened
 from made_fleets import FIRST, WINTER_DRAG, Case, made, page_of
 
 from estimator.config import Config
+from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE
+from estimator.fleet.drive_result import FoundEffect
 from estimator.fleet.engine import Serial
 from estimator.fleet.page import _changes, _in_per_cent
 from estimator.fleet.rows import effect_rows
@@ -93,6 +95,24 @@ def test_the_page_says_what_the_tables_do(year: Case) -> None:
     assert f"effect {effects}" in document
     assert f">{effects:,}</td>" in document
     assert all(season in document for season in SEASONS)
+
+
+def test_a_grade_has_one_size_whether_signals_show_it_or_not() -> None:
+    case = made(1, 3, 4, with_diagnosis=True)
+    grade = FoundEffect(
+        name="grade", probability=1.0, log_bayes_factor=40.0, quantity=SHOWN_SLOPE, magnitude=0.02, sd=0.001, unit="1"
+    )
+    hidden = replace(grade, quantity=HIDDEN_GRADE, magnitude=0.01)
+    results = tuple(
+        replace(one, verdict="effect", effects=(each,))
+        for one, each in zip(case.fleet.results, (grade, hidden, grade), strict=True)
+    )
+    (gaps,) = re.findall(r'<table class="data gaps">.*?</table>', page_of(replace(case.fleet, results=results)))
+    rows = [re.findall(r">([^<>]+)</t[hd]>", row) for row in gaps.split("<tr>")[2:]]
+    assert [(row[0], row[-1]) for row in rows] == [
+        ("grade, shown by signals", "sd of the grade 2.00 %"),
+        ("grade, shown by no signal", "sd of the grade 1.00 %"),
+    ]
 
 
 def test_names_are_no_markup_and_the_page_loads_nothing(year: Case) -> None:
