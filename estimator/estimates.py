@@ -82,8 +82,8 @@ class Road:
 
     ``slope_sd`` standard deviation of the slope along it [1], ``length`` over which it changes [m], ``shown_by`` the
     signals that show it, none for a hidden road; ``climbed`` height gained on the way up [m], None where no signal
-    shows it. ``contradicted``: signals that were left out: they never change, or the force and the others show another
-    road.
+    shows it. ``contradicted``: signals that do not show it: they never change, fall where it climbs, or the force and
+    the others show another road.
     """
 
     slope_sd: float
@@ -93,10 +93,12 @@ class Road:
     contradicted: tuple[str, ...] = ()
 
 
-def left_out(signals: Sequence[str]) -> str:
-    """Clause that says which ``signals`` of the road are not used; empty where all are."""
-    reason = "without a change, or contradicted by the force and the other signals"
-    return f"; {' and '.join(signals)} left out: {reason}" if signals else ""
+def not_showing(signals: Sequence[str]) -> str:
+    """Clause that says which ``signals`` of the road do not show it; empty where all do."""
+    if not signals:
+        return ""
+    reason = "without a change, of the wrong sign, or contradicted by the force and the other signals"
+    return f"; {' and '.join(signals)} {'does' if len(signals) == 1 else 'do'} not show it: {reason}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -112,7 +112,8 @@ class Past(Struct, frozen=True, kw_only=True):
 class Road(Struct, frozen=True, kw_only=True):
     """Slopes of the road where the model has one; no height climbed where no signal shows it.
 
-    ``contradicted``: signals that were left out: they never change, or the force and the others show another road.
+    ``contradicted``: signals that do not show it: they never change, fall where it climbs, or the force and the others
+    show another road.
     """
 
     slope_sd: float

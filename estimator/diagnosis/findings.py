@@ -21,7 +21,7 @@ from estimator.diagnosis.result import (
     Remainder,
     Span,
 )
-from estimator.estimates import left_out
+from estimator.estimates import not_showing
 from estimator.estimation.form_doubt import EFFECT_DOUBT
 from estimator.model.effects import Effect
 from estimator.model.spans import Spans
@@ -93,7 +93,7 @@ def _road_finding(decision: Decision) -> Finding:
     if shown < SHOWN_IN_PART:
         return hidden
     how = "shown by" if shown > SHOWN else "shown in part by"
-    signals = ", ".join(readings) + _left_out(decision)
+    signals = ", ".join(readings) + _not_showing(decision)
     return replace(
         hidden,
         magnitude=replace(hidden.magnitude, name=SHOWN_SLOPE),
@@ -119,12 +119,12 @@ def _hidden_road_finding(decision: Decision) -> Finding:
         rms_before=budget.base,
         rms_after=budget.base if part is None else part.expected,
         shift=decision.shift,
-        detail="varies with place; no signal on the bus shows it" + _left_out(decision),
+        detail="varies with place; no signal on the bus shows it" + _not_showing(decision),
     )
 
 
-def _left_out(decision: Decision) -> str:
-    return left_out(decision.cases[decision.result.longest_number].contradicted)
+def _not_showing(decision: Decision) -> str:
+    return not_showing(decision.cases[decision.result.longest_number].contradicted)
 
 
 def _effect_finding(decision: Decision, chosen: ChosenEffect, before: Sequence[str]) -> Finding:

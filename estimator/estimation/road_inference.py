@@ -40,7 +40,7 @@ from estimator.estimation.road_fit import (
 )
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
-from estimator.estimation.road_signals import constant, contradicted, shown_by
+from estimator.estimation.road_signals import constant, contradicted, reversed_in, shown_by
 from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.scales import RoadScales
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
@@ -426,11 +426,12 @@ def _advice(name: str, found: RoadFit) -> str:
 
 def _road(found: RoadFit) -> Road:
     """The road of an estimate."""
-    climbed = found.climbed if found.scales.readings else None
+    falling = reversed_in(found)
+    shown = tuple(name for name in found.scales.readings if name not in falling)
     return Road(
         slope_sd=found.slope_sd,
         length=found.slope_length,
-        shown_by=found.scales.readings,
-        climbed=climbed,
-        contradicted=found.contradicted,
+        shown_by=shown,
+        climbed=found.climbed if shown else None,
+        contradicted=(*found.contradicted, *falling),
     )

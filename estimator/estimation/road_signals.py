@@ -10,7 +10,8 @@ The others must be sure of their road themselves:
 
     log p(motion, O | one road) - log p(motion | hidden road) - log p(O | no road)
 
-By the force and a single signal it cannot be told which of the two is wrong: a force without a name varies, too.
+By the force and a single signal it cannot be told which of the two is wrong: a force without a name varies, too. So it
+stays in the fit, which gives it large errors. If it falls where the road of the fit climbs, it does not show that road.
 
 A signal that never changes shows nothing: a sender repeats one value. Taken for a level road, it moved C to 2.7 times
 its value. A road that is as level as that is found level without it.
@@ -21,6 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.road_search import Search
 from estimator.estimation.scale_search import most_probable
@@ -31,6 +33,7 @@ from estimator.model.road_scales import SCALES, SIGNAL_SCALES
 from estimator.signals import Floats
 from estimator.strides import Strides
 
+SLOPES = ("grade", "gravity")  # the SIGNALS that are in proportion to the slope
 MIN_LOG_BF = 8.0  # of both, as for a place where the vehicle turns; 27 of 27 trips of the BMW i3 exceed them
 
 SearchOf = Callable[[Strides], Search | None]
@@ -51,6 +54,17 @@ def _readings(strides: Strides) -> list[tuple[str, Floats]]:
     readings = ((name, getattr(strides, name)) for name in SIGNALS)
     known = [(name, values[np.isfinite(values)]) for name, values in readings]
     return [(name, values) for name, values in known if len(values)]
+
+
+def reversed_in(found: RoadFit) -> tuple[str, ...]:
+    """Names of the signals of slope in a fit that fall where its road climbs: their sign is wrong, or it is no road."""
+    falling = list[str]()
+    for name in SLOPES:
+        values = getattr(found.strides, name)
+        known = np.isfinite(values)
+        if known.any() and np.sum((values[known] - values[known].mean()) * found.slope[known]) < 0:
+            falling.append(name)
+    return tuple(falling)
 
 
 def contradicted(strides: Strides, search_of: SearchOf) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from estimator import estimates
 from estimator.answers.reference import Reference, References
 from estimator.answers.run import CoastDown, Coefficients, Coverage, Parameter, Parameters, Road
-from estimator.estimates import Status, left_out
+from estimator.estimates import Status, not_showing
 
 OLD = 10.0  # s, from which the age of a reading is told
 MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
@@ -128,7 +128,7 @@ def cells(coverage: Coverage | estimates.Coverage) -> str:
 def road(slopes: Road) -> str:
     """The slopes in one line."""
     shown = f"shown by {', '.join(slopes.shown_by)}" if slopes.shown_by else "shown by no signal"
-    shown += left_out(slopes.contradicted)
+    shown += not_showing(slopes.contradicted)
     if slopes.slope_sd < MIN_SLOPE_SD:
         return f"flat (slopes below {100 * MIN_SLOPE_SD:.1f} %), {shown}"
     climbed = "" if slopes.climbed_m is None else f"; {slopes.climbed_m:,.0f} m climbed"

@@ -231,8 +231,9 @@ def test_an_altitude_that_the_force_and_a_grade_contradict_is_left_out(drive):
     assert found.road.contradicted == ("altitude",)
     assert found.mass == alone.mass
     assert away(found) < 0.01
-    left_out = "altitude left out: without a change, or contradicted by the force and the other signals"
-    assert f"shown by grade; {left_out}" in road(summary.road(found))
+    assert "shown by grade; altitude does not show it: without a change, of the wrong sign, or contradicted by" in road(
+        summary.road(found)
+    )
 
 
 @pytest.mark.parametrize("role", [Role.ALTITUDE, Role.GRADE])
@@ -243,6 +244,18 @@ def test_a_signal_that_never_changes_does_not_make_the_hills_level(drive, role):
     assert found.road.shown_by == ()
     assert found.road.contradicted == (role.value,)
     assert (found.mass, found.A, found.C) == (hidden.mass, hidden.A, hidden.C)
+
+
+def test_a_grade_with_the_wrong_sign_is_not_said_to_show_the_road():
+    signals = without(over_hills(7).signals, CLIMB - {Role.GRADE})
+    right = concluded(signals, signals=WITH_GRADE)
+    assert (right.road.shown_by, right.road.contradicted) == (("grade",), ())
+    found = concluded(signals | {Role.GRADE: reversed_sign(signals[Role.GRADE])}, signals=WITH_GRADE)
+    assert away(found) < 0.02
+    assert (found.road.shown_by, found.road.climbed, found.road.contradicted) == ((), None, ("grade",))
+    assert "shown by no signal; grade does not show it: without a change, of the wrong sign, or" in road(
+        summary.road(found)
+    )
 
 
 def test_by_the_force_alone_no_signal_is_left_out(drive):

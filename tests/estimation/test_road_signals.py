@@ -13,13 +13,22 @@ from estimator.estimates import Coverage, Estimate, Status
 from estimator.estimation import road_inference
 from estimator.estimation.road_fit import fit, search_of
 from estimator.estimation.road_inference import RoadInference
-from estimator.estimation.road_signals import contradicted, shown_by
+from estimator.estimation.road_signals import contradicted, reversed_in, shown_by
 from estimator.estimation.window import Window
 from estimator.fleet.drive_result import _Loads
 
 
 def test_one_signal_alone_is_never_left_out():
     assert contradicted(strides_of(60, shown=("altitude",)), search_of) == ()
+
+
+def test_a_signal_of_slope_is_reversed_where_it_falls_as_the_road_climbs():
+    found = fit(strides_of(70, seed=3, shown=("altitude", "grade", "gravity")))
+    assert found is not None
+    climbing = replace(found.strides, grade=2.0 + found.slope, gravity=0.5 - 9.8 * found.slope)
+    climbing.grade[:5] = np.nan
+    assert reversed_in(replace(found, strides=climbing)) == ("gravity",)
+    assert reversed_in(replace(found, strides=climbing.without(("grade", "gravity")))) == ()
 
 
 def test_signals_are_compared_again_where_the_window_has_grown_or_others_have_come(monkeypatch):
