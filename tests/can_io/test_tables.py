@@ -502,6 +502,15 @@ def test_time_differences_are_times_and_truth_values_with_gaps_are_states(tmp_pa
         read(tmp_path / "a.csv", columns={"speed": "brake [km/h]", "power": "P [kW]"})
 
 
+def test_on_and_off_are_states_in_any_case(tmp_path: Path) -> None:
+    words = ["off", "OFF", "Off", ""] * 25 + ["on", "ON", " On ", ""] * 25
+    file = written_table(steady(brake=words, word=words), tmp_path / "a.csv")
+    (rows,) = read(file, columns={**RATES, "brake_switch": "brake"}).pieces
+    assert rows.context[Role.BRAKE_SWITCH][[20, 180]].tolist() == [0.0, 1.0]
+    with pytest.raises(LogError, match="row 1, column 'word': 'off' is no number; correct it"):
+        read(file, columns={**RATES, "altitude": "word [m]"})
+
+
 RATES = {"speed": "v [km/h]", "power": "P [kW]"}
 
 
