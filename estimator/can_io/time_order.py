@@ -24,9 +24,12 @@ def is_time(t: float) -> bool:
     return 0 <= t <= MAX_TIME
 
 
-def finer_unit(step: float, most: float, t: float = 0.0) -> str | None:
-    """The unit in which a ``step`` is no longer than ``most`` [s], and ``t`` can be a time, if seconds are too long."""
-    fitting = (unit for unit, n in FINER_UNITS.items() if step / n <= most and t / n <= MAX_TIME)
+def finer_unit(step: float, most: float, t: float = 0.0, least: float = 0.0) -> str | None:
+    """The unit in which a ``step`` is from ``least`` to ``most`` [s], and ``t`` can be a time, if seconds are too long.
+
+    None if there is no such unit.
+    """
+    fitting = (unit for unit, n in FINER_UNITS.items() if least <= step / n <= most and t / n <= MAX_TIME)
     return next(fitting, None)
 
 

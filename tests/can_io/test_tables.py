@@ -462,6 +462,17 @@ def test_times_in_a_finer_unit_get_the_line_that_reads_them(
     assert main(["inspect", str(file), *MAP[:4], "--map", time.replace('"', "")]) == 0
 
 
+@pytest.mark.parametrize(("step", "is_offered"), [(2.5, False), (5, False), (8, False), (10, True), (2000, True)])
+def test_a_finer_unit_is_offered_where_it_gives_steps_of_a_table(
+    step: float, is_offered: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = written_table(steady(t=[step * i for i in range(200)]), tmp_path / "a.csv")
+    line = refused(capsys, "estimate", file, *MAP[:4])
+    assert f"has a row every {step:.3g} s; the mass follows from changes of speed" in line
+    assert ("if its times are" in line) == is_offered
+    assert is_offered or line.endswith("so give rows of 2 s or less")
+
+
 def test_one_of_several_columns_of_times_has_to_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = written_table({"seconds": [i // 10 for i in range(200)], **steady()}, tmp_path / "a.csv")
     line = refused(capsys, "inspect", file, *MAP[:4])

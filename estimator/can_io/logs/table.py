@@ -56,6 +56,7 @@ TIMES = ("time", "t", "timestamp", "seconds", "secs", "elapsed", "time_s", "t_s"
 NOTHING = dict.fromkeys(("", "nan", "null", "none", "na", "n/a", "-"), float("nan"))
 STATES = {**NOTHING, "true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0}
 MAX_STEP = 2.0  # s between rows in the median: slower ones show no change of speed that a force made
+MIN_STEP = 0.009  # s: tables have up to 100 rows a second, so seconds that would be less are no finer unit
 SAME_TIME = "row with a second value at its time"
 SHORT = "row with fewer cells than names"
 
@@ -162,7 +163,7 @@ def _check_rate(source: str, name: str, steps: Sequence[Floats], latest: float) 
     if step <= MAX_STEP and latest <= MAX_TIME:
         return
     wrong = f"has a row every {step:.3g} s" if step > MAX_STEP else f"has times up to {latest:.3g} s"
-    unit = finer_unit(step, MAX_STEP, latest)
+    unit = finer_unit(step, MAX_STEP, latest, MIN_STEP if latest <= MAX_TIME else 0.0)
     finer = f'; if its times are {unit}, say so: --map time="{split_unit(name)[0]} [{unit}]"' if unit else ""
     raise LogError(
         f"{source}: {wrong}; the mass follows from changes of speed within a second or two, so give rows of "
