@@ -254,6 +254,43 @@ def test_a_cell_that_is_infinite_and_a_row_that_is_short_are_counted(
     assert "row 10, column 'v': 'fast' is no number" in refused(capsys, "inspect", tmp_path / "a.csv", *MAP)
 
 
+def rows_of_text(heading: str, tail: str, path: Path) -> Path:
+    """A table of 200 rows, of a time, a speed and the ``tail``."""
+    path.write_text(heading + "\n" + "".join(f"{i / 10},{50 + i % 9}{tail}\n" for i in range(200)))
+    return path
+
+
+@pytest.mark.parametrize("full", [0, 15])
+def test_empty_cells_at_the_end_of_rows_may_be_left_out(full: int, tmp_path: Path) -> None:
+    """Of all rows, or of all but the first ones, as of spreadsheets; a row that is cut is still left out."""
+    lines = rows_of_text("t,v,P,x,y", ",50", tmp_path / "a.csv").read_text().splitlines()
+    lines[1 : 1 + full] = [f"{line},," for line in lines[1 : 1 + full]]
+    lines[-1] = "19.9,7"
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    log = TableLog(tmp_path / "a.csv", Table(columns=RATES))
+    assert sum(map(len, log)) == 2 * 199
+    assert log.skipped == {SHORT: 1}
+    (rows,) = read(tmp_path / "a.csv", columns=RATES).pieces
+    assert np.nanmin(rows.speed) > 49 / 3.6
+
+
+@pytest.mark.parametrize(
+    ("heading", "tail", "said"),
+    [
+        ("t,v,P", "", "line 1 has 3 names, but no row has more than 2 cells, so column 'P' is empty; fill it in, or"),
+        ("v,P,t", "", "line 1 has 3 names, but no row has more than 2 cells, so column 't' is empty; fill it in, or"),
+        ("t,v,x [a, b],P,y", ",1,50,2", "and 'x [a' seems to be part of a name; put the name into quotes"),
+        ("t,v,x (a, b),P,y", ",1,50,2", "and 'x (a' seems to be part of a name; put the name into quotes"),
+    ],
+)
+def test_a_wanted_column_without_a_cell_and_names_beside_other_columns_are_refused(
+    heading: str, tail: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "estimate", rows_of_text(heading, tail, tmp_path / "a.csv"), *MAP[:4])
+    assert line.startswith(f"error: {tmp_path / 'a.csv'}: line 1 has ")
+    assert said in line
+
+
 def test_commas_beside_decimal_points_are_not_taken_for_decimal_commas(tmp_path: Path) -> None:
     assert columns_read("t\tn\n0.1\t1,234\n", tmp_path / "a.tsv") == {"t": ["0.1"], "n": ["1,234"]}
 

@@ -13,7 +13,7 @@ Wanted = Callable[[Iterable[str]], set[str]]  # of the names that there are, tho
 class Piece:
     """Cells (n,) by name of the column, the share of the file that has been read up to them, and units it gives.
 
-    ``short`` are the indices of rows that have fewer cells than there are columns: which ones they lack is not known.
+    ``short`` are the indices of rows that have fewer cells than most: which ones they lack is not known.
     """
 
     cells: Mapping[str, Any]

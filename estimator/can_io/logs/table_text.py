@@ -6,7 +6,8 @@ A table whose delimiter is no comma may have commas in its numbers, as spreadshe
 import codecs
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Container, Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
 
@@ -24,7 +25,8 @@ def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
     Raises
     ------
     LogError
-        It has no line of names, a line or cell that is too long, or a row with more cells than there are names.
+        It has no line of names, a line or cell that is too long, or a row with more cells than there are names; or no
+        row has a cell of a wanted column.
     """
     csv.field_size_limit(MAX_FIELD)
     with Source(path) as source:
@@ -38,9 +40,9 @@ def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
             _check_heading(path, heading)
             chosen = wanted(heading)
             places = {name: i for i, name in enumerate(heading) if name in chosen}
-            reader = _whole_rows(path, text, delimiter, len(heading))
-            short = list[int]()  # numbers of rows, from 0
-            rows = _with_points(path, _cells(path, len(heading), list(places.values()), reader, short), delimiter)
+            reader, short = _whole_rows(path, text, delimiter, len(heading)), list[int]()  # numbers of rows, from 0
+            cells_of = _cells(path, len(heading), list(places.values()), reader)
+            rows = _with_points(path, _wide_enough(path, heading, chosen, cells_of, short), delimiter)
             done = 0
             while part := list(islice(rows, ROWS)):
                 cells = dict(zip(places, zip(*part, strict=True), strict=True))
@@ -79,12 +81,10 @@ def _hides_rows(cell: str, delimiter: str, names: int) -> bool:
     return any(line.count(delimiter) >= names - 1 for line in cell.splitlines()[1:])
 
 
-def _cells(
-    path: Path, names: int, places: Sequence[int], rows: Iterator[list[str]], short: list[int]
-) -> Iterator[list[str]]:
-    """The cells at ``places`` of each row that is not blank; refuses a row with more cells than there are ``names``.
+def _cells(path: Path, names: int, places: Sequence[int], rows: Iterator[list[str]]) -> Iterator[tuple[int, list[str]]]:
+    """Width, and the cells at ``places``, of each row that is not blank; a cell that is missing is empty.
 
-    Numbers, from 0, of rows with fewer cells are added to ``short``; their cells are empty.
+    Refuses a row with more cells than there are ``names``.
     """
     for number, row in enumerate(filter(None, rows), start=1):
         if len(row) > names and any(row[names:]):
@@ -92,10 +92,39 @@ def _cells(
                 f"{path}: row {number} has {len(row)} cells, line 1 has {names} names; correct that row, or "
                 "write numbers with decimal points"
             )
-        if len(row) < names:
-            short.append(number - 1)
-            row = names * [""]
-        yield [row[i] for i in places]
+        yield min(len(row), names), [row[i] if i < len(row) else "" for i in places]
+
+
+def _wide_enough(
+    path: Path, heading: list[str], chosen: Container[str], rows: Iterator[tuple[int, list[str]]], short: list[int]
+) -> Iterator[list[str]]:
+    """The cells of each row.
+
+    Numbers, from 0, of rows with fewer cells than most are added to ``short``; all their cells are empty, as the last
+    one may be cut.
+    """
+    first = list(islice(rows, ROWS))
+    usual = _usual_width(path, heading, chosen, Counter(width for width, _ in first))
+    for number, (width, cells) in enumerate(chain(first, rows)):
+        if width < usual:
+            short.append(number)
+        yield cells if width >= usual else len(cells) * [""]
+
+
+def _usual_width(path: Path, heading: list[str], chosen: Container[str], counts: Counter[int]) -> int:
+    """Number of cells that most rows have, from the ``counts`` of rows by their width.
+
+    It is less than that of names where empty cells at the end are left out. Refused are rows that all lack a cell of a
+    ``chosen`` column, and a name that a delimiter in it seems to cut.
+    """
+    longest = max(counts, default=len(heading))
+    said = f"{path}: line 1 has {len(heading)} names, but no row has more than {longest} cells"
+    parts = [name for name in heading if any(name.count(a) != name.count(b) for a, b in ("()", "[]"))]
+    if longest < len(heading) and parts:
+        raise LogError(f"{said}, and {parts[0]!r} seems to be part of a name; put the name into quotes")
+    if lacking := [name for name in heading[longest:] if name in chosen]:
+        raise LogError(f"{said}, so column {lacking[0]!r} is empty; fill it in, or name another column")
+    return max(counts, key=lambda width: (counts[width], width), default=len(heading))
 
 
 def _with_points(path: Path, rows: Iterator[list[str]], delimiter: str) -> Iterator[list[str]]:
