@@ -8,7 +8,6 @@ from math import sqrt
 from estimator.units import STANDARD_DENSITY
 
 PARAMETERS = ("A", "C", "m")  # order of every parameter vector: [N], [N s^2/m^2], [kg]
-CONTRADICTION = "two parts of the drive contradict each other"  # start of a reason, for which there is other advice
 
 
 class Status(StrEnum):
@@ -150,6 +149,7 @@ class Estimate:
     c_rr: Marginal | None = None  # A / (m g) [1], by the mass that is estimated, rotating parts included
     air_density: float | None = None  # [kg/m^3] that C holds for; None where no signal shows it
     doubt: str = ""  # why a unit may be wrong although the estimate stands
+    parts_contradict: bool = False  # two parts of the drive contradict each other, which is the reason
 
     @property
     def marginals(self) -> dict[str, Marginal | None]:

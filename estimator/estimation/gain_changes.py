@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.estimates import CONTRADICTION
 from estimator.estimation.mixture import between
 from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit
 from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
@@ -70,9 +69,10 @@ class GainChanges:
             return ""
         middle, change = found.beta[0] + self.shift[k, 0], found.beta[0] * self.size[k]
         before, after = middle - change / 2, middle + change / 2
+        how = f"mass {_mass(before)} and {_mass(after)} kg"
         if min(before, after) <= MIN_INVERSE_MASS:
-            return f"{CONTRADICTION}: in one of them speed does not change with force"
-        return f"{CONTRADICTION}: mass {_mass(before)} and {_mass(after)} kg"
+            how = "in one of them speed does not change with force"
+        return f"two parts of the drive contradict each other: {how}"
 
 
 def _mass(inverse: float) -> str:

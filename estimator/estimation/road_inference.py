@@ -217,7 +217,7 @@ class RoadInference:
         changes = gain_changes(found)
         conflict, found = changes.contradiction(found), changes.averaged(found).checked()
         if reason := self._undetermined(found):
-            return withheld(conflict or reason)
+            return replace(withheld(conflict or reason), parts_contradict=bool(conflict))
         estimate = self._judge(t, found, conflict, withheld)
         return replace(estimate, doubt=doubt.sentence) if estimate.status is Status.ESTIMATED else estimate
 
@@ -280,7 +280,7 @@ class RoadInference:
         if reason := self._gate.missing_coverage(coverage) or _outside(judged, *bounds):
             return withheld(reason, coverage)
         if conflict:
-            return withheld(conflict, coverage)
+            return replace(withheld(conflict, coverage), parts_contradict=True)
         reasons = self._reasons(judged, found, *bounds)
         if "m" in reasons:
             return withheld(reasons["m"], coverage)

@@ -1,6 +1,6 @@
 """The advice beside a status that is not "estimated": the next step of a user."""
 
-from estimator.estimates import CONTRADICTION, Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.samples import STEP
 from estimator.settings import Gate
 from estimator.streaming.replay import Run
@@ -18,7 +18,7 @@ def next_step(run: Run) -> str:
         return ""
     if final.status == Status.INVALID:
         return f"check with `roadload inspect` what the reason names; where that is right, {DIAGNOSE}"
-    if final.reason.startswith(CONTRADICTION):
+    if final.parts_contradict:
         return (
             f"give the logs of each load alone, if the load changed on the way: a longer log has both; else {DIAGNOSE}"
         )

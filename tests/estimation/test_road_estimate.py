@@ -285,6 +285,7 @@ def test_a_torque_that_drifts_is_withheld_because_parts_of_the_drive_contradict(
     assert found.status is Status.UNESTIMATED
     assert found.mass is None
     assert "two parts of the drive contradict each other" in found.reason
+    assert found.parts_contradict
 
 
 def test_frames_of_a_drive_without_these_signals_carry_none_of_them(drive):
