@@ -24,7 +24,7 @@ from estimator.estimation.savage_dickey import first_eliminated, log_bayes_facto
 from estimator.signals import Floats, Mask
 
 MAX_RUN = 2000.0  # s, of several blocks exchanged at once
-MAX_EXCHANGES = 60  # bounds the run time
+MIN_GAIN = 1e-3  # of log evidence, for an exchange: above rounding, so that they end
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,13 @@ def best_states(G: Floats, s: Floats, priors: Sequence[SwitchingPrior], lengths:
     furthest = np.maximum(furthest, np.arange(1, b + 1))
     moves = [list(some) for size in range(effects) for some in combinations(range(effects), size + 1)]
     on, blocks = start.copy(), _Blocks(G, s, priors)
-    for _ in range(MAX_EXCHANGES):
+    while True:
         first, last = _runs(on, furthest)
         moved, present = blocks.evidence_of_moves(on, first, last, moves)
         move, k = np.unravel_index(np.argmax(moved), moved.shape)
-        if moved[move, k] <= present + 1e-9:
-            break
+        if moved[move, k] <= present + MIN_GAIN:
+            return on
         on[moves[move], first[k] : last[k]] ^= True
-    return on
 
 
 def _runs(on: Mask, furthest: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -334,6 +334,17 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
     assert evidence(one) <= max(map(evidence, once)) + 1e-9
 
 
+def test_any_number_of_runs_is_found():
+    rng, b = np.random.default_rng(3), 240
+    truth = np.arange(b) % 3 == 1
+    G = np.zeros((1, 1, b, b))
+    G[0, 0, range(b), range(b)] = rng.uniform(50.0, 100.0, b)
+    s = G[:, 0] @ (1.5 * truth) + rng.normal(0, 5, b)
+    prior = prior_of(rng, b, costs=[Costs(CHANGE_COST, CHANGE_COST, 0.0)] * (b - 1))
+    found = exchange.best_states(G, s, [prior], np.ones(b), np.zeros((1, b), bool))[0]
+    assert_array_equal(found, truth)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_blocks_pass_from_an_effect_that_holds_them_to_the_one_that_acts(seed):
     rng, b = np.random.default_rng(seed), 6
