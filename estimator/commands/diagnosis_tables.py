@@ -43,7 +43,8 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "found", _found(d, effect)
     if d.effects and d.base is not None and d.final is not None:
         change = Shift(d.final.mass - d.base.mass, d.final.A - d.base.A, d.final.C - d.base.C)
-        yield "shift", "; ".join(filter(None, (wording.shift(change, d.deviation), wording.of_the_longest(d))))
+        moved = f"{wording.shift(change, d.deviation)}; with the effects {wording.road_load(d.final, d.deviation)}"
+        yield "shift", "; ".join(filter(None, (moved, wording.of_the_longest(d))))
     for line in parameter_text.references(d.references):
         yield "others", line
     if steps:
@@ -61,6 +62,8 @@ def _limits(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "untestable", _some(f"{wording.label(n.name)} (needs {n.needs})" for n in d.not_testable)
     for advice in wording.advice(d):
         yield "would tell", advice
+    if beyond := wording.beyond_estimate(d):
+        yield "estimate", beyond
 
 
 def _found(d: Diagnosis, effect: Finding) -> str:

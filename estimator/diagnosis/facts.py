@@ -32,6 +32,7 @@ def advice(
     elif verdict is Verdict.EFFECT:
         unsure += [other for finding in named for other in finding.equivalent]
         unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
+        unsure += [finding.name for finding in named if _is_moving(finding) and not _is_streaming(finding)]
     shown_by = {effect.name: effect.shown_by for effect in effects}
     return tuple(Advice(name, shown_by[name]) for name in dict.fromkeys(unsure) if name in shown_by)
 
@@ -52,12 +53,24 @@ def unsettled(
 
 
 def streaming_effects(named: Sequence[Finding], given: Sequence[Effect]) -> tuple[str, ...]:
-    """Effects to configure for the streaming estimator: the ``given`` ones and the named ones that it supports.
+    """Effects to configure for the streaming estimator: the ``given`` ones and the named ones.
 
-    Empty if it supports no named one. The road is always in its model, so it is not listed.
+    Empty if it does not support all named ones, for a part of them alone may move A and C farther away. The road is
+    always in its model, so it is not listed.
     """
+    added = [finding for finding in named if _is_moving(finding)]
+    if not added or not all(map(_is_streaming, added)):
+        return ()
+    moving = [effect.name for effect in given if not effect.is_gravity]
+    return tuple(dict.fromkeys((*moving, *(finding.name for finding in added))))
+
+
+def _is_moving(finding: Finding) -> bool:
+    """True for an effect of the catalogue that is no slope."""
+    return finding.name in BY_NAME and not BY_NAME[finding.name].is_gravity
+
+
+def _is_streaming(finding: Finding) -> bool:
+    """True if the streaming estimator can have the effect: no times of it were fitted."""
     sizes = {effect.symbol for effect in BY_NAME.values()}  # magnitudes that a configuration can hold
-    effects = [BY_NAME[f.name] for f in named if f.name in BY_NAME and f.magnitude.name in sizes and not f.span]
-    added = [effect for effect in effects if effect.is_streaming and not effect.is_gravity]
-    moving = [effect for effect in given if not effect.is_gravity]
-    return tuple(dict.fromkeys(effect.name for effect in (*moving, *added))) if added else ()
+    return BY_NAME[finding.name].is_streaming and finding.magnitude.name in sizes and not finding.span

@@ -43,6 +43,8 @@ def _verdict(d: Diagnosis) -> str:
             '<div class="add"><p>Add to the configuration</p>'
             f"<pre><code>{html.escape(configuration)}</code></pre></div>"
         )
+    elif beyond := wording.beyond_estimate(d):
+        line += f'<p class="note">{html.escape(beyond[:1].upper() + beyond[1:])}.</p>'
     return (
         f'<header class="{d.verdict.value.replace(" ", "-")}"><p class="logs">Sim-to-real gap <span>{logs}</span></p>'
         f'<p class="verdict">{d.verdict.value}</p><h1>{html.escape(wording.headline(d))}</h1>'

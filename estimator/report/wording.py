@@ -173,6 +173,16 @@ def configuration(d: Diagnosis) -> str:
     return f"effects = [{quoted}]" if quoted else ""
 
 
+def beyond_estimate(d: Diagnosis) -> str:
+    """Sentence on effects found that `roadload estimate` cannot have, for no signal shows their times; else empty."""
+    if d.streaming_effects or not d.effects or d.final is None:
+        return ""
+    timed = [label(f.name) for f in d.effects if f.span]
+    if not timed:
+        return ""
+    return f"roadload estimate cannot have {listed(timed)} without that signal: take mass, A and C from here"
+
+
 def gap_closed(d: Diagnosis) -> float | None:
     """Share of the gap that all chosen effects close together; None where it is not known or there was no gap."""
     closed = [effect.gap_closed.fraction for effect in d.effects if effect.gap_closed is not None]
@@ -310,6 +320,20 @@ def shift(change: Shift | None, sd: Shift | None = None) -> str:
         for value, doubt, (name, unit, step) in zip(values, doubts, PARAMETERS, strict=True)
     ]
     return ", ".join(part for part in parts if any(digit in part for digit in "123456789")) or "nothing worth showing"
+
+
+def road_load(values: Shift, sd: Shift | None) -> str:
+    """``mass 24,100 ± 120 kg, A 1,240 ± 60 N, C 3.680 ± 0.150``, C without its unit."""
+    doubts = (math.nan,) * 3 if sd is None else (sd.mass, sd.A, sd.C)
+    return ", ".join(
+        f"{name} {parameter_with_sd(value, doubt, step)} {unit if name != 'C' else ''}".strip()
+        for value, doubt, (name, unit, step) in zip((values.mass, values.A, values.C), doubts, PARAMETERS, strict=True)
+    )
+
+
+def parameter_with_sd(value: float, sd: float, step: float) -> str:
+    """A road-load parameter and its standard deviation, to the step worth showing."""
+    return parameter(value, step) + (f" ± {parameter(sd, step)}" if math.isfinite(sd) else "")
 
 
 def _change(value: float, step: float, sd: float) -> str:

@@ -31,6 +31,7 @@ from estimator.diagnosis.result import (
     Magnitude,
     NotTestable,
     Shift,
+    Span,
     Traces,
 )
 from estimator.diagnosis.thresholds import Thresholds
@@ -511,6 +512,19 @@ def test_terminal_says_all_in_a_screenful() -> None:
     for part in ("wind 5.21 ± 0.32 m/s", "71 % (66 to 76 %)", "noise floor 3.3 kW", "coolant temperature", "gps_speed"):
         assert part in text
     assert text.endswith('add to the configuration: effects = ["headwind", "auxiliary_cycling"]\n')
+
+
+def test_an_estimate_that_cannot_have_what_was_found_is_not_advised() -> None:
+    d = dataclasses.replace(rich(), streaming_effects=(), deviation=Shift(210.0, 42.0, 0.12))
+    d = dataclasses.replace(d, effects=tuple(dataclasses.replace(f, span=(Span(60.0, 120.0),)) for f in d.effects))
+    said = "cannot have headwind and auxiliary cycling without that signal: take mass, A and C from here"
+    assert said in " ".join(printed(d).split())
+    assert said in page(d)
+    assert "add to the configuration" not in printed(d).lower() + page(d).lower()
+    final, sd = d.final, d.deviation
+    assert final is not None
+    assert sd is not None
+    assert f"with the effects mass {final.mass:,.0f} ± {sd.mass:,.0f} kg, A {final.A:,.0f} ±" in printed(d, 400)
 
 
 def test_terminal_of_a_log_that_cannot_tell() -> None:

@@ -52,20 +52,26 @@ def parameters(d: Diagnosis) -> str:
     title = f"<h3>{title}</h3>" + of_the_longest(d)
     if d.final is not None and not d.effects:  # least squares alone would have the sd of the noise
         rows = [
-            [f"{name} [{unit}]", _with_sd(getattr(d.final, key), getattr(d.deviation, key, math.nan), step)]
+            [
+                f"{name} [{unit}]",
+                wording.parameter_with_sd(getattr(d.final, key), getattr(d.deviation, key, math.nan), step),
+            ]
             for key, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True)
         ]
         return title + table(("parameter", "averaged over the hypotheses"), rows, "parameters")
     rows = []
     for attribute, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True):
         before = getattr(d.base, attribute)
-        row = [f"{name} [{unit}]", _with_sd(before, getattr(d.base_deviation, attribute, math.nan), step)]
+        row = [
+            f"{name} [{unit}]",
+            wording.parameter_with_sd(before, getattr(d.base_deviation, attribute, math.nan), step),
+        ]
         if d.final is not None:
             after = getattr(d.final, attribute)
             relative = (after - before) / before if before > 0 else math.nan  # no share of what cannot be negative
             share = f" ({number_format.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
             sd = getattr(d.deviation, attribute, math.nan)
-            row += [_with_sd(after, sd, step), wording.parameter(after - before, step, "+") + share]
+            row += [wording.parameter_with_sd(after, sd, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
     headings = ("parameter", base, "with the effects", "shift")
     return title + table(headings[: len(rows[0])], rows, "parameters")
@@ -75,11 +81,6 @@ def of_the_longest(d: Diagnosis) -> str:
     """Which of several drives a table is of."""
     said = wording.of_the_longest(d)
     return f'<p class="soft">{said[:1].upper()}{said[1:]}.</p>' if said else ""
-
-
-def _with_sd(value: float, sd: float, step: float) -> str:
-    spread = f" ± {wording.parameter(sd, step)}" if math.isfinite(sd) else ""
-    return wording.parameter(value, step) + spread
 
 
 def budget(whole: Budget) -> str:
