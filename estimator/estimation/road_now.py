@@ -19,6 +19,7 @@ from estimator.errors import StateError
 from estimator.estimates import Slope
 from estimator.estimation.road_filter import Belief, RoadFilter
 from estimator.estimation.road_fit import RoadFit
+from estimator.preparation.admission import margin_of
 from estimator.preparation.past_speed import last_known
 from estimator.preparation.striding import Strider
 from estimator.samples import STEP, Rows
@@ -112,7 +113,7 @@ class RoadNow:
             self._strider = Strider(self._admission, wanted, self._start)
         self._move(rows)
         self._add(self._strider.feed(rows, Counter()))
-        kept = KEPT_ROWS + round(self._admission.stride_margin_s / STEP)
+        kept = KEPT_ROWS + margin_of(rows, self._admission)
         self._t, self._travelled = self._t[-kept:], self._travelled[-kept:]
 
     def finish(self) -> None:

@@ -37,6 +37,7 @@ _ORDER = tuple(Reason)
 MAY_BRAKE = np.int8(_ORDER.index(Reason.MAY_BRAKE))  # code of that reason
 BRAKE_PEDAL = 0.005  # fraction of travel: one bit of SPN 521 is 0.4 %
 RETARDER_TORQUE = -0.01  # fraction of reference torque: one bit of SPN 520
+UNSEEN_MARGIN = 2.0  # s, kept away from moments without power where no brake is on the bus: rows of tables are as rare
 
 
 def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
@@ -73,6 +74,17 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
     for reason, mask in reversed(masks.items()):
         codes[mask] = _ORDER.index(reason)
     return codes
+
+
+def shows_brakes(rows: Rows) -> bool:
+    """True if a brake switch or pedal is on the bus; else, brakes may be used whenever there is no power."""
+    return bool(rows.context.keys() & {Role.BRAKE_SWITCH, Role.BRAKE_PEDAL})
+
+
+def margin_of(rows: Rows, admission: Admission) -> int:
+    """Number of rows kept away from moments that are excluded, or that may be braking."""
+    least = 0.0 if shows_brakes(rows) else UNSEEN_MARGIN
+    return round(max(admission.stride_margin_s, least) / STEP)
 
 
 def is_braking(rows: Rows) -> Mask:

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, optional, read
 from estimator.errors import StateError
-from estimator.preparation.admission import ADMITTED, MAY_BRAKE, count_reasons, is_coasting, row_reasons
+from estimator.preparation.admission import (
+    ADMITTED,
+    MAY_BRAKE,
+    count_reasons,
+    is_coasting,
+    margin_of,
+    near,
+    row_reasons,
+    shows_brakes,
+)
 from estimator.preparation.context import air_density, quantities_of
 from estimator.preparation.past_speed import last_known
 from estimator.samples import STEP, Rows
@@ -47,7 +56,6 @@ class Strider:
             minimum_speed_m_s=max(admission.minimum_speed_m_s, MIN_SPEED),
         )
         self.wanted, self._start = wanted, start
-        self._margin = max(round(admission.stride_margin_s / STEP), _REACH) + 1
         self._rows: Rows | None = None  # from `margin` rows before the next stride on
         self._next = 0  # place in them where the next stride begins
         self._distance = 0.0  # [m] there
@@ -61,7 +69,7 @@ class Strider:
     def feed(self, rows: Rows, rejected: Counter[str]) -> Strides:
         """Take rows; return the strides that they complete. Rows in no stride of known force are counted by reason."""
         self._rows = rows if self._rows is None else Rows.concatenate(self._rows, rows)
-        return self._cut(self._rows, SPAN_ROWS + ROWS + self._margin, rejected)
+        return self._cut(self._rows, SPAN_ROWS + ROWS + self._margin(self._rows), rejected)
 
     def finish(self, rejected: Counter[str]) -> Strides:
         """Return the strides still waiting, before a gap or at the end of the rows."""
@@ -73,12 +81,17 @@ class Strider:
         self._rows, self._next, self._speed = None, 0, 0.0
         return strides
 
+    def _margin(self, rows: Rows) -> int:
+        """Number of rows before and after one that decide about it."""
+        return max(margin_of(rows, self._admission), _REACH) + 1
+
     def _codes(self, rows: Rows) -> tuple[NDArray[np.int8], Mask]:
         """Code (n,) of the reason against each row, and mask (n,) of the rows with an open driveline."""
         margin = round(self._admission.stride_margin_s / STEP)
         codes = row_reasons(rows, self._admission)
-        if not rows.context.keys() & {Role.BRAKE_SWITCH, Role.BRAKE_PEDAL}:
-            codes = np.where((codes == ADMITTED) & (rows.power <= 0), MAY_BRAKE, codes)
+        if not shows_brakes(rows):
+            powerless = near(rows.power <= 0, margin_of(rows, self._admission))
+            codes = np.where((codes == ADMITTED) & powerless, MAY_BRAKE, codes)
         coasting = is_coasting(rows, margin) & (rows.plausible_speed > MIN_SPEED)
         return np.where(coasting, np.int8(ADMITTED), codes), coasting
 
@@ -104,7 +117,7 @@ class Strider:
         strides = self._strides(rows, travelled, coasting, first, length, is_known)
         strides = strides[is_known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
         self._distance, self._speed = float(travelled[begin]), float(held[begin - 1])
-        first_waiting = max(begin - self._margin, 0)
+        first_waiting = max(begin - self._margin(rows), 0)
         self._rows, self._next = rows[first_waiting:], begin - first_waiting
         return strides
 

@@ -36,7 +36,7 @@ class SwitchUse:
         self._known: Counter[Role] = Counter()
         self._excluding: Counter[Role] = Counter()
         self._stops = 0
-        self._is_driving, self._has_braked = False, False
+        self._is_driving, self._has_braked, self._had_no_power = False, False, False
 
     def feed(self, parts: Iterable[Rows]) -> None:
         """Add rows."""
@@ -49,6 +49,7 @@ class SwitchUse:
                     self._known[role] += int(np.count_nonzero(fast & np.isfinite(values)))
                     self._excluding[role] += int(np.count_nonzero(fast & is_excluding))
             self._has_braked |= bool(is_braking(rows).any())
+            self._had_no_power |= bool(np.any(fast & (rows.power <= 0)))
             turns = np.concatenate([[self._is_driving], fast[fast | stands]])
             self._stops += int(np.count_nonzero(turns[:-1] & ~turns[1:]))
             self._is_driving = bool(turns[-1])
@@ -73,6 +74,11 @@ class SwitchUse:
             out.append(
                 f"{brakes} never shows a brake, though the vehicle stopped {self._stops} times, so braking counts as "
                 "road load; bind another signal, or take it out of [signals]"
+            )
+        elif not brakes and self._stops > 1 and not self._had_no_power:
+            out.append(
+                f"no brake is bound, and the power never falls to 0, though the vehicle stopped {self._stops} times, "
+                "so braking counts as road load; bind brake_switch"
             )
         return out
 

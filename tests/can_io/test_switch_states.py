@@ -120,11 +120,12 @@ def test_a_switch_that_is_on_for_most_of_the_driving_is_told() -> None:
     assert '[bus] states = { "CAR.Brake" = [' in remark
 
 
-def used(speed: np.ndarray, **context: np.ndarray) -> list[str]:
-    """Remarks on a drive with these values, fed in two parts."""
+def used(speed: np.ndarray, least_power: float = 0.0, **context: np.ndarray) -> list[str]:
+    """Remarks on a drive with these values, fed in two parts; the power [W] is least for the last second of driving."""
     roles = {Role(name): value for name, value in context.items()}
     n = len(speed)
-    rows = Rows(index=np.arange(n), speed=speed, power=np.ones(n), fresh=np.ones((n, 2), bool), context=roles)
+    power = np.where(np.arange(n) < np.flatnonzero(speed)[-1] - 10, 9e3, least_power)
+    rows = Rows(index=np.arange(n), speed=speed, power=power, fresh=np.ones((n, 2), bool), context=roles)
     use = SwitchUse()
     use.feed([rows[: n // 3], rows[n // 3 :]])
     return use.remarks({role: f"CAR.{role}" for role in roles})
@@ -142,6 +143,13 @@ def test_a_brake_that_never_comes_on_though_the_vehicle_stops_is_told(value: flo
     assert used(speed, brake_switch=np.full(len(speed), value), brake_pedal=0.3 * (speed == 0)) == []
     assert used(stop_and_go(1), brake_switch=np.full(800, value)) == []
     assert used(speed) == []
+
+
+def test_a_power_that_never_falls_to_zero_though_no_brake_is_bound_is_told() -> None:
+    (remark,) = used(stop_and_go(3), 1.5e3)
+    assert remark.startswith("no brake is bound, and the power never falls to 0, though the vehicle stopped 3 times")
+    assert used(stop_and_go(1), 1.5e3) == []
+    assert used(stop_and_go(3), -1.5e3) == []
 
 
 def test_a_brake_pedal_that_is_not_zero_at_rest_is_told() -> None:

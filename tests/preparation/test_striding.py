@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator.config import Config
 from estimator.errors import StateError
-from estimator.preparation.admission import Reason
+from estimator.preparation.admission import UNSEEN_MARGIN, Reason
 from estimator.preparation.standstill import Standstill
 from estimator.preparation.striding import GAP_DISTANCE, Strider
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission, Load
 from estimator.signals import Quantity, Role
-from estimator.strides import LAGS, ROWS, Strides
+from estimator.strides import EDGE, LAGS, ROWS, Strides
 
 MASS = 20_000.0
 WANTED = frozenset({Quantity.ENGINE_SPEED})
@@ -429,3 +429,21 @@ def test_without_a_brake_signal_a_moment_without_power_may_be_braking():
     assert not np.any(hidden.known & (hidden.t > 10.0))
     assert reasons[Reason.MAY_BRAKE] > 80
     assert Reason.MAY_BRAKE not in counted
+
+
+@pytest.mark.parametrize("part", [7, 61, 1000])
+def test_without_a_brake_signal_strides_keep_away_from_moments_without_power_in_any_batches(part):
+    power = np.where(np.isin(np.arange(400) // 10, (15, 16)), -1.0, 50e3)  # from 15 to 17 s
+    rows = rows_of(np.full(400, 15.0), power)
+    whole, counted = strided(rows)
+    known = whole.t[whole.known]
+    half = 0.5 * (ROWS + EDGE) * STEP  # of a stride, to the end of its last row
+    before, after = known[known < 16].max() + half, known[known > 16].min() - half
+    assert 15.0 - UNSEEN_MARGIN - 1.0 < before < 15.0 - UNSEEN_MARGIN + STEP
+    assert 17.0 + UNSEEN_MARGIN - STEP < after < 17.0 + UNSEEN_MARGIN + STEP
+    rejected, strider = Counter[str](), Strider(Admission(), WANTED, 0.0)
+    parts = [strider.feed(rows[at : at + part], rejected) for at in range(0, 400, part)]
+    again = Strides.concatenate([*parts, strider.finish(rejected)])
+    assert_array_equal(again.t, whole.t)
+    assert_array_equal(again.known, whole.known)
+    assert rejected == counted
