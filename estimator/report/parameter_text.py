@@ -130,7 +130,8 @@ def road(slopes: Road) -> str:
     shown = f"shown by {', '.join(slopes.shown_by)}" if slopes.shown_by else "shown by no signal"
     shown += not_showing(slopes.contradicted)
     if slopes.slope_sd < MIN_SLOPE_SD:
-        return f"flat (slopes below {100 * MIN_SLOPE_SD:.1f} %), {shown}"
+        level = f"flat (slopes below {100 * MIN_SLOPE_SD:.1f} %), {shown}"
+        return level if slopes.shown_by else f"{level}; a mean slope would be part of A"
     climbed = "" if slopes.climbed_m is None else f"; {slopes.climbed_m:,.0f} m climbed"
     words = f"slopes with a standard deviation of {100 * slopes.slope_sd:.1f} %"
     return f"{words} over {slopes.length_m:,.0f} m, {shown}{climbed}"

@@ -11,10 +11,12 @@ import xarray
 from made_outputs import made_evidence, made_view
 from simulated_logs import ask
 
+from estimator.answers.run import Road
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands.main import main
 from estimator.estimates import Marginal
+from estimator.report import parameter_text
 from estimator.report.effect_sizes import effect_size
 from estimator.report.export import write_draws
 from estimator.report.plots import draw, write_plot
@@ -135,3 +137,14 @@ def test_unknown_format_is_refused_before_the_work(
     assert main(["estimate", str(log), option, str(tmp_path / "out.xyz")]) == 2
     assert "out.xyz" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("shown_by", "said"),
+    [
+        (("altitude",), "flat (slopes below 0.1 %), shown by altitude"),
+        ((), "flat (slopes below 0.1 %), shown by no signal; a mean slope would be part of A"),
+    ],
+)
+def test_a_road_that_no_signal_shows_is_not_said_to_have_no_mean_slope(shown_by: tuple[str, ...], said: str) -> None:
+    assert parameter_text.road(Road(slope_sd=4e-4, length_m=900.0, shown_by=shown_by, climbed_m=None)) == said
