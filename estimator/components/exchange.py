@@ -23,7 +23,6 @@ from estimator.components.time_prior import Costs
 from estimator.estimation.savage_dickey import first_eliminated, log_bayes_factor, posterior_of
 from estimator.signals import Floats, Mask
 
-MAX_RUN = 2000.0  # s, of several blocks exchanged at once
 MIN_GAIN = 1e-3  # of log evidence, for an exchange: above rounding, so that they end
 
 
@@ -40,20 +39,16 @@ class SwitchingPrior:
     costs: Sequence[Costs]
 
 
-def best_states(G: Floats, s: Floats, priors: Sequence[SwitchingPrior], lengths: Floats, start: Mask) -> Mask:
+def best_states(G: Floats, s: Floats, priors: Sequence[SwitchingPrior], start: Mask) -> Mask:
     """Blocks (e, b) in which each of e effects is on, from those of ``start`` (e, b).
 
-    ``G`` (e, e, b, b): products, ``s`` (e, b): scores of the blocks of all effects; ``lengths`` (b,) [s] of the blocks.
+    ``G`` (e, e, b, b): products, ``s`` (e, b): scores of the blocks of all effects.
     """
-    effects, b = s.shape
-    ends = np.insert(np.cumsum(lengths), 0, 0.0)
-    is_any_single = any(prior.is_single for prior in priors)  # its run may have any length
-    furthest = np.full(b, b) if is_any_single else np.searchsorted(ends, ends[:-1] + MAX_RUN, side="right") - 1
-    furthest = np.maximum(furthest, np.arange(1, b + 1))
+    effects = len(s)
     moves = [list(some) for size in range(effects) for some in combinations(range(effects), size + 1)]
     on, blocks = start.copy(), _Blocks(G, s, priors)
     while True:
-        first, last = _runs(on, furthest)
+        first, last = _runs(on)
         moved, present = blocks.evidence_of_moves(on, first, last, moves)
         move, k = np.unravel_index(np.argmax(moved), moved.shape)
         if moved[move, k] <= present + MIN_GAIN:
@@ -61,15 +56,11 @@ def best_states(G: Floats, s: Floats, priors: Sequence[SwitchingPrior], lengths:
         on[moves[move], first[k] : last[k]] ^= True
 
 
-def _runs(on: Mask, furthest: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """All runs of blocks in which no state (e, b) changes: the first block (r,) of each, and the block after its last.
-
-    A run ends before the block ``furthest`` (b,) for its first one.
-    """
+def _runs(on: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The first block (r,) of each run of blocks in which no state (e, b) changes, and the block after its last."""
     b = on.shape[1]
     changed = np.append(np.flatnonzero((on[:, 1:] != on[:, :-1]).any(axis=0)) + 1, b)  # where the next states begin
-    reached = np.minimum(changed[np.searchsorted(changed, np.arange(b), side="right")], furthest)
-    counts = reached - np.arange(b)
+    counts = changed[np.searchsorted(changed, np.arange(b), side="right")] - np.arange(b)
     first = np.repeat(np.arange(b), counts)
     last = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts) + first + 1
     return first, last

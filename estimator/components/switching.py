@@ -36,13 +36,11 @@ MIN_BLOCK_GAP = 5.0  # s without strides, where blocks end: in less the state ha
 class _Cut:
     """Profiles of e effects cut into b blocks: ``labels`` (n,) are the block of each stride, ``first`` (b,) its first.
 
-    ``lengths`` (b,) [s] are those of blocks, ``gaps`` (b - 1,) [s] lie between them. ``products`` (e, e, b, b) and
-    ``score`` (e, b) have a set eliminated.
+    ``gaps`` (b - 1,) [s] lie between them. ``products`` (e, e, b, b) and ``score`` (e, b) have a set eliminated.
     """
 
     labels: NDArray[np.int64]
     first: NDArray[np.intp]
-    lengths: Floats
     gaps: Floats
     products: Floats
     score: Floats
@@ -71,7 +69,7 @@ class Switching:
         cut = self._cuts[key]
         off = np.zeros_like(cut.score, dtype=bool)
         prior = self._prior(effect, cut)
-        blocks = best_states(cut.products * size**2, cut.score * size, [prior], cut.lengths, off)
+        blocks = best_states(cut.products * size**2, cut.score * size, [prior], off)
         on = blocks[0, cut.labels]
         if not on.any() or on.mean() > MAX_ON_SHARE:
             return None
@@ -89,7 +87,7 @@ class Switching:
         states = self._acting(acting)
         cut = self._cut(beside, [frame.column(EffectTerm(effect)) for effect in effects], [[*beside, *acting]], states)
         priors = [self._prior(effect, cut) for effect in effects]
-        after = best_states(cut.products, cut.score, priors, cut.lengths, states[:, cut.first])
+        after = best_states(cut.products, cut.score, priors, states[:, cut.first])
         found = {effect.name: _spans(frame, on[cut.labels]) for effect, on in zip(effects, after, strict=True)}
         for effect in effects:
             timed = {other.name: EffectTerm(other, None, found[other.name]) for other in effects if found[other.name]}
@@ -136,7 +134,6 @@ class Switching:
         return _Cut(
             labels=label,
             first=first,
-            lengths=np.append(t[first[1:]], t[-1]) - t[first],
             gaps=t[first[1:]] - t[first[1:] - 1] - DURATION,
             products=products.reshape(e, b, e, b).swapaxes(1, 2),
             score=score.reshape(e, b),

@@ -62,6 +62,7 @@ MIN_GROWTH = 1.5
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.014, 0.024)
 MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.09)
+MIN_DRIVEN = 0.1  # share of the driving: over hidden hills, less is where the slope lets a vehicle pull (a pass: 0.04)
 USUAL_LAG = 0.5  # s, between power and speed, may be more only where `kinematics.maximum_lag_s` is above its default
 LONGEST_LAG = float(LAGS.max()) + LAG_SD  # s, that the model can describe
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
@@ -277,7 +278,8 @@ class RoadInference:
         coverage = self._gate.coverage(
             self._window.counts, np.maximum(judged.theta[:ROAD_LOAD], 0.0), driven.power[driven.power > 0]
         )
-        if reason := self._gate.missing_coverage(coverage) or _outside(judged, *bounds):
+        selected = _selected(self._window.strides, found)
+        if reason := self._gate.missing_coverage(coverage) or selected or _outside(judged, *bounds):
             return withheld(reason, coverage)
         if conflict:
             return replace(withheld(conflict, coverage), parts_contradict=True)
@@ -405,6 +407,14 @@ def _misfit(found: RoadFit, maximum_lag: float) -> str:
     if abs(found.lag) > (LONGEST_LAG if maximum_lag > LAGS.max() else USUAL_LAG):
         return f"power and speed are {found.lag:+.1f} s apart: check their time stamps"
     return ""
+
+
+def _selected(strides: Strides, found: RoadFit) -> str:
+    """Reason why the driven ones of all ``strides`` do not stand for the road; empty where they do."""
+    driven = float(strides.rows[strides.known].sum() / strides.rows.sum())
+    if driven >= MIN_DRIVEN or not (hills := _advice("m", found)):
+        return ""
+    return f"the vehicle pulls in {100 * driven:.0f} % of the driving only, where the slope lets it{hills}"
 
 
 def _outside(judged: Judged, lower: Floats, upper: Floats) -> str:

@@ -326,10 +326,10 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
         return exact_evidence(G, s, [prior], [on])
 
     best = max((z for z in product([False, True], repeat=b) if s[0] @ z >= 0), key=evidence)
-    found = exchange.best_states(G, s, [prior], np.ones(b), np.zeros((1, b), bool))[0]
+    found = exchange.best_states(G, s, [prior], np.zeros((1, b), bool))[0]
     assert evidence(found) == pytest.approx(evidence(best))
     once = [z for z in product([False, True], repeat=b) if np.count_nonzero(np.diff(np.pad(z, 1))) <= 2]
-    one = exchange.best_states(G, s, [replace(prior, is_single=True)], np.ones(b), np.zeros((1, b), bool))[0]
+    one = exchange.best_states(G, s, [replace(prior, is_single=True)], np.zeros((1, b), bool))[0]
     assert np.count_nonzero(np.diff(np.pad(one, 1))) <= 2
     assert evidence(one) <= max(map(evidence, once)) + 1e-9
 
@@ -341,7 +341,7 @@ def test_any_number_of_runs_is_found():
     G[0, 0, range(b), range(b)] = rng.uniform(50.0, 100.0, b)
     s = G[:, 0] @ (1.5 * truth) + rng.normal(0, 5, b)
     prior = prior_of(rng, b, costs=[Costs(CHANGE_COST, CHANGE_COST, 0.0)] * (b - 1))
-    found = exchange.best_states(G, s, [prior], np.ones(b), np.zeros((1, b), bool))[0]
+    found = exchange.best_states(G, s, [prior], np.zeros((1, b), bool))[0]
     assert_array_equal(found, truth)
 
 
@@ -355,7 +355,7 @@ def test_blocks_pass_from_an_effect_that_holds_them_to_the_one_that_acts(seed):
     s = np.einsum("cdij,dj->ci", G, 3.0 * truth) + rng.normal(0, 1, (2, b))
     priors = [prior_of(rng, b, costs=[Costs(CHANGE_COST, CHANGE_COST, 0.0)] * (b - 1)) for _ in range(2)]
     start = np.array([truth.any(axis=0), np.zeros(b, dtype=bool)])
-    found = exchange.best_states(G, s, priors, np.ones(b), start)
+    found = exchange.best_states(G, s, priors, start)
     states = (np.reshape(z, (2, b)) for z in product([False, True], repeat=2 * b))
     best = max(states, key=lambda on: exact_evidence(G, s, priors, on))
     assert_array_equal(found, best)
@@ -367,7 +367,7 @@ def test_evidence_of_exchanged_runs_is_that_of_the_states_computed_anew(seed):
     rng, b = np.random.default_rng(seed), 7
     G, s, on = blocks_of(rng, 2, b), rng.normal(0, 40, (2, b)), rng.random((2, b)) < 0.5
     priors, moves = [prior_of(rng, b), prior_of(rng, b, sd=0.5)], [[0], [1], [0, 1]]
-    first, last = exchange._runs(on, np.full(b, b))
+    first, last = exchange._runs(on)
     moved, present = exchange._Blocks(G, s, priors).evidence_of_moves(on, first, last, moves)
     assert present == pytest.approx(exact_evidence(G, s, priors, on))
     for effects, evidence in zip(moves, moved, strict=True):
@@ -381,18 +381,6 @@ def test_an_amplitude_that_would_be_negative_beside_another_is_impossible():
     score, strength = np.array([2.0, 0.5]), np.array([[1.0, 0.9], [0.9, 1.0]])
     assert np.isfinite(exchange.joint_evidence(score, strength, [1.0, 1.0], [True, False]))
     assert exchange.joint_evidence(score, strength, [1.0, 1.0], [True, True]) == -np.inf  # it has a positive score
-
-
-def test_a_block_before_a_long_pause_may_be_on_alone_but_in_no_longer_run():
-    G, s, lengths = 30 * np.eye(3), np.array([60.0, 60.0, -60.0]), np.array([100.0, 3600.0, 100.0])
-    prior = exchange.SwitchingPrior(sd=2.0, is_positive=True, is_single=False, costs=[Costs(0.0, 0.0, 0.0)] * 2)
-
-    def found(s, prior):
-        return exchange.best_states(G[None, None], s[None], [prior], lengths, np.zeros((1, 3), bool))[0].tolist()
-
-    assert found(s * [-1, 1, 1], prior) == [False, True, False]
-    assert found(s, prior) == [True, True, False]
-    assert found(s, replace(prior, is_single=True)) == [True, True, False]
 
 
 def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():

@@ -10,6 +10,7 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import J1939_BINDING, from_dict
 from estimator.estimates import Estimate, Status
+from estimator.estimation import road_inference
 from estimator.report import summary
 from estimator.report.parameter_text import road
 from estimator.signals import Role, Series, Signals
@@ -286,6 +287,17 @@ def test_a_torque_that_drifts_is_withheld_because_parts_of_the_drive_contradict(
     assert found.mass is None
     assert "two parts of the drive contradict each other" in found.reason
     assert found.parts_contradict
+
+
+def test_over_hidden_hills_no_mass_is_given_where_most_of_the_driving_has_no_force(drive, monkeypatch):
+    hidden = without(drive.signals, CLIMB)
+    assert concluded(hidden).status is Status.ESTIMATED
+    monkeypatch.setattr(road_inference, "MIN_DRIVEN", 0.999)
+    found = concluded(hidden)
+    assert (found.status, found.mass) == (Status.UNESTIMATED, None)
+    assert found.reason.startswith("the vehicle pulls in ")
+    assert found.reason.endswith(" that no signal shows are in the way, a longer drive or an altimeter would help")
+    assert concluded(drive.signals).status is Status.ESTIMATED
 
 
 def test_frames_of_a_drive_without_these_signals_carry_none_of_them(drive):

@@ -37,4 +37,4 @@ def test_the_mass_is_right_though_the_brake_is_on_no_bus(rate: float, tmp_path: 
     final = estimate(read(braking(tmp_path / "van.csv", 3, rate), columns=COLUMNS)).final
     assert final.mass is not None
     assert abs(final.mass.mean - MASS) < 3 * final.mass.sd
-    assert final.mass.mean == pytest.approx(MASS, rel=0.03)
+    assert final.mass.mean == pytest.approx(MASS, rel=0.05)
