@@ -20,13 +20,13 @@ from estimator.commands.log_options import (
     settings,
 )
 from estimator.commands.terminal import print_json, progress_bar, say, standard_output
-from estimator.errors import InputError
+from estimator.errors import ConfigError, InputError
 from estimator.fleet.cache import Cache
 from estimator.fleet.engine import dask_engine
 from estimator.fleet.output import CACHE, PAGE, check_names, left_over, prepare, write_fleet
 from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, check, run_fleet
-from estimator.fleet.sources import find_logs
+from estimator.fleet.sources import Found, LogFile, find_logs
 from estimator.fleet.tables import UNUSED, doubts, require_arrow
 from estimator.report.number_format import counted, with_sd
 from estimator.report.parameter_text import COEFFICIENTS
@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
     require_arrow()
     are_named = options.vehicle == BY_ENGINE
     files = find_logs(options.source, None if are_named else options.vehicle, kind_of(config))
-    logs, left_out = files.logs, _inputs(files.left_out, options.output)
+    logs, left_out = _inputs(files, options.output)
     check(config)
     complain_of_databases(config)
     _complain_of_others(left_out, kind_of(config))
@@ -96,7 +96,8 @@ def run(options: argparse.Namespace) -> int:
         found, config, options.output, options.fdr, with_diagnosis=options.diagnose, with_page=options.report
     )
     if earlier := left_over(options.output, written):
-        complain(f"note: {_listed(earlier)}: of an earlier run, not of this one; delete what is not needed")
+        those = f"{_listed(earlier)}: of an earlier run, whose tables this run replaced"
+        complain(f"note: {those}; give each run a folder of its own (-o), or delete what is not needed")
     if options.json:
         print_json(_summary(found, drives, vehicles, written, len(left_out)))
     else:
@@ -125,18 +126,23 @@ def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
         complain(f"note: {doubt}")
 
 
-def _inputs(files: Sequence[str], out: Path) -> list[str]:
-    """The files but those of an earlier run in ``out``, which may be a folder of the source."""
-    own = {os.path.realpath(path) for path in left_over(out, ())}
-    return [file for file in files if os.path.realpath(file) not in own]
-
-
 def _complain_of_others(left_out: Sequence[str], kind: Kind) -> None:
     """One line for all files that are logs with other settings only."""
     if left_out:
         those = f"{counted(len(left_out), 'file')}: {_listed(left_out)}"
         remedy = f"read them {kind.remedy}, in a run of their own"
         complain(f"note: {kind.others_are} left out, {those}; {remedy}")
+
+
+def _inputs(files: Found, out: Path) -> tuple[list[LogFile], list[str]]:
+    """Logs and left-out files but those of an earlier run in ``out``, which may be a folder of the source."""
+    own = {os.path.realpath(path) for path in left_over(out, ())}
+    logs = [log for log in files.logs if os.path.realpath(log.source) not in own]
+    if len(logs) < len(files.logs) and not (out / CACHE).is_dir():  # not of an earlier run
+        raise ConfigError(f"{out}: has logs with the names of tables of a fleet; give another folder with -o")
+    if not logs:
+        raise InputError(f"{out}: has no logs but tables of an earlier run; give the logs as SOURCE")
+    return logs, [path for path in files.left_out if os.path.realpath(path) not in own]
 
 
 def _listed(paths: Sequence[Path | str]) -> str:
@@ -162,7 +168,10 @@ def _print(drives: Sequence[Row], vehicles: Sequence[Row], out: Path) -> None:
     console = standard_output()
     estimated = sum(row["status"] == "estimated" for row in drives)
     rows = f"{counted(len(drives), 'row')} of drives, {estimated:,} estimated"
-    say(console, f"{rows}; {counted(len(vehicles), 'vehicle')}; written to {out}")
+    say(
+        console,
+        f"{rows}; {counted(len(vehicles), 'vehicle')}; written to {out} (for a spreadsheet: drives.csv, vehicles.csv)",
+    )
     for row in vehicles:
         line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, {road_load(row)}"
         say(console, line + (f"; out of line: {row['outlier']}" if row["outlier"] else ""))

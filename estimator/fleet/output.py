@@ -12,14 +12,16 @@ from estimator.fleet.page import Tables, page
 from estimator.fleet.priors import as_toml, of_new_vehicle, of_vehicle
 from estimator.fleet.rows import drive_rows, effect_rows, road_rows, season_rows, vehicle_rows
 from estimator.fleet.run import Fleet
-from estimator.fleet.tables import DRIVES, EFFECTS, ROAD, SEASONS, VEHICLES, write_tables
+from estimator.fleet.tables import CSV, DRIVES, EFFECTS, ROAD, SEASONS, VEHICLES, write_tables
 
 CACHE = "cache"  # folders in the output
 PRIORS = "priors"
 EXPORTS = "exports"
 PAGE = "fleet.html"
 ROAD_TABLE, ROAD_MAP = "road.parquet", "road.npy"
+TABLES = ("drives", "vehicles", "seasons", "effects", "road")
 NEW_VEHICLE = "new-vehicle"
+OF_FILES = (".csv", ".parquet", ".json", ".html")  # suffixes by which a name is meant as that of a file
 MAX_NAME = 200  # bytes of the name of a vehicle in that of a file, which file systems allow 255 of
 FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
 
@@ -30,10 +32,12 @@ def prepare(out: Path) -> None:
     Raises
     ------
     ConfigError
-        The path is a file, or the folder cannot be made or written to.
+        The path is a file or named like one, or the folder cannot be made or written to.
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; give the name of a folder")
+    if out.suffix.lower() in OF_FILES:
+        raise ConfigError(f"{out}: is named like a file; give the name of a folder, in which the tables are written")
     for folder in (out, out / PRIORS, out / EXPORTS, out / CACHE):
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -97,13 +101,13 @@ def write_fleet(
         tables[out / ROAD_TABLE] = ROAD, road_rows(fleet.road)
     if len(fleet.road.map.key):  # else a map that a gateway uses stays as it is
         maps[out / ROAD_MAP] = fleet.road.map.encoded()
-    write_tables(tables, {**texts, **maps})
-    return [*tables, *texts, *maps]
+    return write_tables(tables, {**texts, **maps})
 
 
 def left_over(out: Path, written: Sequence[Path]) -> list[Path]:
     """Files of an earlier run in the folder that are not among those ``written`` by this run."""
-    made = [*out.glob("*.parquet"), out / PAGE, out / ROAD_MAP, *out.glob(f"{PRIORS}/*"), *out.glob(f"{EXPORTS}/*")]
+    tables = [out / f"{name}{suffix}" for name in TABLES for suffix in (".parquet", CSV)]
+    made = [*tables, out / PAGE, out / ROAD_MAP, *out.glob(f"{PRIORS}/*"), *out.glob(f"{EXPORTS}/*")]
     return sorted(path for path in made if path.is_file() and path not in set(written))
 
 

@@ -1,8 +1,10 @@
-"""Columns of the tables of a fleet, and the tables as Parquet files with units in the schema."""
+"""Columns of the tables of a fleet, and the tables as files: Parquet with units in the schema, and CSV."""
 
+import csv
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from estimator.output_files import whole
 from estimator.printable import escaped
 from estimator.units import STANDARD_DENSITY
 
+CSV = ".csv"  # suffix of a table for a spreadsheet, beside the Parquet file
 UNUSED = ("unreadable", "duplicate", "failed")  # status of a log that gives no estimate, with its reason
 
 
@@ -107,8 +110,10 @@ def doubts(drives: Sequence[Row], vehicles: Sequence[Row]) -> list[str]:
 
 def write_tables(
     tables: Mapping[Path, tuple[Sequence[Column], Sequence[Row]]], others: Mapping[Path, str | bytes]
-) -> None:
-    """Write Parquet files and other files, texts or bytes: all of them, or none.
+) -> list[Path]:
+    """Write Parquet files, each with a CSV file beside it, and other files, texts or bytes: all of them, or none.
+
+    Returns the names of all files.
 
     Raises
     ------
@@ -116,6 +121,7 @@ def write_tables(
         A file cannot be written, or pyarrow is not installed.
     """
     contents = {path: _parquet(schema, rows) for path, (schema, rows) in tables.items()}
+    contents |= {path.with_suffix(CSV): _csv(schema, rows) for path, (schema, rows) in tables.items()}
     contents |= {
         path: text.encode("utf-8", "replace") if isinstance(text, str) else text for path, text in others.items()
     }
@@ -127,6 +133,7 @@ def write_tables(
             file = stack.enter_context(whole(path))
             file.write(content)
             file.flush()  # a full disk is noticed before one of them is replaced
+    return list(contents)
 
 
 def require_arrow() -> Any:
@@ -164,8 +171,19 @@ def _parquet(schema: Sequence[Column], rows: Sequence[Row]) -> bytes:
     return content
 
 
+def _csv(schema: Sequence[Column], rows: Sequence[Row]) -> bytes:
+    """The table as CSV in UTF-8: a line of names, then a line a row; times are in UTC, to the second."""
+    text = StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow([column.name for column in schema])
+    for row in rows:
+        cells = [_cell(column, row) for column in schema]
+        table.writerow([f"{cell:%Y-%m-%d %H:%M:%S}" if isinstance(cell, datetime) else cell for cell in cells])
+    return text.getvalue().encode()
+
+
 def _cell(column: Column, row: Row) -> Any:
-    """Convert a value for Arrow; None if it is missing."""
+    """Convert a value for a file; None if it is missing."""
     value = row.get(column.name)
     if value is None or (column.kind == "number" and not np.isfinite(value)):
         return None

@@ -463,6 +463,21 @@ def test_a_fleet_of_tables_counts_the_logs_of_frames_beside_them(
 
 
 @pytest.mark.usefixtures("without_workers")
+def test_the_tables_of_a_fleet_are_no_logs_of_the_next_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
+    written_table(steady(), tmp_path / "van" / "a.csv")
+    for _ in range(2):
+        assert main(["fleet", str(tmp_path), "-o", str(tmp_path / "out"), *MAP, "--json"]) == 0
+        out, err = capsys.readouterr()
+        assert json.loads(out)["rows"].keys() == {"unestimated"}
+        assert "drives." not in err
+    own = tmp_path / "own"
+    written_table(steady(), own / "drives.csv")
+    assert main(["fleet", str(own), "-o", str(own), *MAP]) == 2
+    assert "has logs with the names of tables of a fleet; give another folder" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("without_workers")
 def test_a_fleet_of_tables_without_a_column_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A line for each file, and one for all of them."""
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")

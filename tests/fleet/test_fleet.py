@@ -1,5 +1,6 @@
 """A fleet from logs to tables: `roadload fleet` and `estimate_drives`, on simulated trucks."""
 
+import csv
 import errno
 import json
 import os
@@ -10,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import replace
+from datetime import datetime
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -407,7 +409,51 @@ def test_files_of_an_earlier_run_are_named(fleet: Path, tmp_path: Path) -> None:
     (tmp_path / "priors/sold.toml").write_text("")
     written = output.write_fleet(found, Config(), tmp_path, 0.05)
     names = [str(path.relative_to(tmp_path)) for path in output.left_over(tmp_path, written)]
-    assert names == ["effects.parquet", "fleet.html", "priors/sold.toml"]
+    assert names == ["effects.csv", "effects.parquet", "fleet.html", "priors/sold.toml"]
+
+
+@pytest.mark.usefixtures("without_workers")
+def test_a_run_into_the_folder_of_other_vehicles_says_that_their_tables_are_replaced(
+    fleet: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    output.prepare(out)
+    (out / "priors/sold.toml").write_text("")
+    status, _, lines = ask(fleet / "truck-2/a.blf", "-o", out)
+    assert status == 0
+    assert lines[-1] == (
+        f"note: {out}/priors/sold.toml: of an earlier run, whose tables this run replaced; give each run a folder of "
+        "its own (-o), or delete what is not needed"
+    )
+
+
+def test_each_table_is_also_a_csv_file_of_the_same_columns_and_values(
+    outputs: list[tuple[Path, dict[str, Any], list[str]]],
+) -> None:
+    import pyarrow.parquet
+
+    out, answer, _ = outputs[0]
+    for name in ("drives", "vehicles", "seasons", "road"):
+        assert str(out / f"{name}.csv") in answer["files"]
+        with (out / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        written = pyarrow.parquet.read_table(out / f"{name}.parquet")
+        assert list(rows[0]) == written.schema.names
+        for row, other in zip(rows, written.to_pylist(), strict=True):
+            for column, value in other.items():
+                if isinstance(value, float):
+                    assert float(row[column]) == value
+                elif isinstance(value, datetime):
+                    assert row[column] == value.strftime("%Y-%m-%d %H:%M:%S")
+                else:
+                    assert row[column] == ("" if value is None else str(value))
+
+
+@pytest.mark.parametrize("name", ["drives.csv", "drives.parquet", "fleet.JSON", "fleet.html"])
+def test_a_folder_named_like_a_file_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=rf"{name}: is named like a file; give the name of a folder"):
+        output.prepare(tmp_path / name)
+    assert not (tmp_path / name).exists()
 
 
 def test_a_folder_in_the_place_of_a_table_leaves_all_files_as_they_were(fleet: Path, tmp_path: Path) -> None:
