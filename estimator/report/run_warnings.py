@@ -28,16 +28,30 @@ def _unbound(config: Config) -> tuple[str, ...]:
     lacking = unbound(config.binding.keys())
     if not lacking:
         return ()
-    found = {
-        signal.spn: f'in [signals] write {role} = "{message.name}.{signal.name}" if the bus carries it'
-        for message in load_database(config.bus.dbc).messages
-        for signal in message.signals
-        for role, spn in SPNS.items()
-        if signal.spn == spn
-    }
+    advice = _advice_on_a_bus(config) if config.table is None else _advice_on_a_table()
     return tuple(
         f"{role} is not bound: the torque contains {effect.source.split(',')[0]}, whose size ({effect.name}) is "
-        "estimated beside A and C and widens them; "
-        + found.get(SPNS[role], f"bind it where the bus has it (SPN {SPNS[role]} of J1939)")
+        f"estimated beside A and C and widens them; {advice[role]}"
         for role, effect in lacking.items()
     )
+
+
+def _advice_on_a_bus(config: Config) -> dict[Role, str]:
+    """What binds each part of the torque, with its signal where the database has it."""
+    found = {
+        signal.spn: f"{message.name}.{signal.name}"
+        for message in load_database(config.bus.dbc).messages
+        for signal in message.signals
+        if signal.spn in SPNS.values()
+    }
+    return {
+        role: f'in [signals] write {role} = "{found[spn]}" if the bus carries it'
+        if spn in found
+        else f"bind it where the bus has it (SPN {spn} of J1939)"
+        for role, spn in SPNS.items()
+    }
+
+
+def _advice_on_a_table() -> dict[Role, str]:
+    """What binds each part of the torque to a column."""
+    return {role: f'if the table has a column of it, add --map {role}="COLUMN [%]"' for role in SPNS}

@@ -79,13 +79,23 @@ def advice(
     if answers:
         return f"{answers:,} frames are answers to OBD-II requests: give --config obd2"
     if config.table is not None:
-        return 'give them columns with numbers, as in --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+        return _advice_on_columns(missing)
     if not seen and not config.signals:
         return (
             "if the vehicle does not speak J1939, roadload init FILE.dbc LOG -o FILE.toml proposes a configuration "
             "from its DBC; give that as --config FILE.toml"
         )
     return remedy(missing, seen, config.binding)
+
+
+def _advice_on_columns(missing: Collection[Role]) -> str:
+    """Advice on the ``missing`` roles of a table, some of which are constants of the vehicle."""
+    columns = 'give them columns with numbers, as in --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+    settings = [SETTINGS[role] for role in missing if role in SETTINGS]
+    if not settings:
+        return columns
+    constants = f"start the configuration (--config FILE.toml) with {' and '.join(settings)}"
+    return constants if len(settings) == len(missing) else f"{constants}; {columns.replace('them', 'the others')}"
 
 
 def _pids_of(missing: Collection[Role], messages: Sequence[BoundMessage]) -> list[str]:

@@ -31,6 +31,7 @@ from estimator.settings import Table, Vehicle
 from estimator.signals import Role
 
 MAP = ["--map", "speed=v [km/h]", "--map", "power=P [kW]", "--map", "time=t [s]"]
+FRACTION = ["--map", "speed=v [km/h]", "--map", "torque_fraction=P [%]", "--map", "time=t [s]"]
 
 
 @pytest.fixture(scope="module")
@@ -211,6 +212,18 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
             steady(v=["inf"] * 200, P=["nan"] * 200),
             MAP,
             "missing inputs: speed.v, engine_power.P; give them columns",
+        ),
+        (
+            steady(rpm=[1200.0] * 200),
+            [*FRACTION, "--map", "engine_speed=rpm [rpm]"],
+            "missing inputs: reference_torque; start the configuration (--config FILE.toml) with "
+            "vehicle.reference_torque_Nm = ... (reference torque of the engine, SPN 544)",
+        ),
+        (
+            steady(),
+            FRACTION,
+            "missing inputs: engine_speed, reference_torque; start the configuration (--config FILE.toml) with "
+            "vehicle.reference_torque_Nm = ... (reference torque of the engine, SPN 544); give the others columns",
         ),
         (steady(v=["72"] * 20 + ["1_000"] + ["72"] * 179), MAP, "row 21, column 'v': '1_000' is no number; correct"),
         (steady(t=["0.1"] * 5 + ["1_0"] + ["0.2"] * 194), MAP, "row 6, column 't': '1_0' is no number; correct it"),

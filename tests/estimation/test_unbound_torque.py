@@ -28,6 +28,13 @@ def test_a_warning_has_the_line_that_binds_what_is_missing():
     assert len(warnings_of(without(Role.FRICTION_FRACTION, Role.TORQUE_FRACTION_FINE), {})) == 2
 
 
+def test_a_warning_on_a_table_has_the_option_that_names_a_column():
+    columns = {"speed": "v [km/h]", "torque_fraction": "T [%]", "engine_speed": "n [rpm]"}
+    friction, fine = warnings_of(from_dict({"table": {"columns": columns}}), {})
+    assert friction.endswith('widens them; if the table has a column of it, add --map friction_fraction="COLUMN [%]"')
+    assert fine.endswith('add --map torque_fraction_fine="COLUMN [%]"')
+
+
 def test_wheels_that_were_left_out_are_told_with_their_rows():
     errors = {"wheel_speeds 3: differs from the others": 11_954, "CCVS1: too short": 3}
     assert warnings_of(Config(), errors) == ("wheel_speeds 3: differs from the others, in 11,954 rows",)
