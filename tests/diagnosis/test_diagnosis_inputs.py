@@ -132,13 +132,21 @@ def test_without_power_or_speed_it_is_an_error(urban, log, capsys, without, miss
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gravity", "Grade", ""])
-def test_an_effect_that_is_not_known(urban, log, tmp_path, capsys, name):
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("gravity", "; there are grade, headwind, "),
+        ("", "; there are grade, headwind, "),
+        ("Grade", "; did you mean grade?"),
+        ("headwin", "; did you mean headwind?"),
+    ],
+)
+def test_an_effect_that_is_not_known(urban, log, tmp_path, capsys, name, said):
     path, file = log(urban), tmp_path / "c.toml"
     file.write_text(f'effects = ["grade", "{name}"]\n')
     for arguments in (("--config", file), ("--effect", name)):
         error = fails(capsys, "diagnose", path, *arguments)
-        assert f"'{name}' is not known; there are grade, headwind, " in error
+        assert f"'{name}' is not known{said}" in error
 
 
 @pytest.mark.slow

@@ -282,6 +282,8 @@ def test_what_switches_streams_with_a_signal_only():
 
 def test_a_configuration_asks_by_name():
     assert [effect.name for effect in named(["headwind", "grade", "headwind"])] == ["headwind", "grade"]
+    with pytest.raises(ConfigError, match=r"'drafing' is not known; did you mean drafting\?$"):
+        named(["drafing"])
     with pytest.raises(
         ConfigError, match=r"'gravity' is not known; there are grade, headwind, .*, cabin_heater$"
     ) as refused:

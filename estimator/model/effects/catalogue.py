@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from estimator.errors import ConfigError
 from estimator.model.effects import air, electric, powertrain, readings, road
 from estimator.model.effects.effect import Effect
+from estimator.near_names import did_you_mean
 
 CATALOGUE: tuple[Effect, ...] = (
     road.GRADE,
@@ -50,7 +51,8 @@ def named(names: Sequence[str]) -> tuple[Effect, ...]:
     able = ", ".join(effect.name for effect in CATALOGUE if effect.is_streaming)
     for name in names:
         if name not in BY_NAME:
-            raise ConfigError(f"effects: {name!r} is not known; there are {able}")
+            guess = did_you_mean(name, BY_NAME) or f"; there are {able}"
+            raise ConfigError(f"effects: {name!r} is not known{guess}")
         if not BY_NAME[name].is_streaming:
             raise ConfigError(f"effects: {name!r} cannot be part of the model, only diagnosed; those that can: {able}")
     return tuple(BY_NAME[name] for name in dict.fromkeys(names))

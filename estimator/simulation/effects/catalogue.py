@@ -10,6 +10,7 @@ from math import isfinite
 import numpy as np
 
 from estimator.errors import InputError
+from estimator.near_names import did_you_mean
 from estimator.simulation.effects import air, powertrain, readings, roads, rolling
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.moment import Action, Scene
@@ -188,7 +189,8 @@ def kind_of(name: str) -> Kind:
     try:
         return KINDS[name]
     except KeyError:
-        raise InputError(f"there is no effect {name!r}; known are {', '.join(KINDS)}") from None
+        guess = did_you_mean(name, KINDS) or f"; known are {', '.join(KINDS)}"
+        raise InputError(f"there is no effect {name!r}{guess}") from None
 
 
 def effects_from(magnitudes: Mapping[str, float | None]) -> list[Effect]:
