@@ -25,6 +25,7 @@ TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1
 _SECONDS = {normal_form(unit): seconds for unit, seconds in TIME_UNITS.items()}
 FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
 WITH_UNIT = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*", re.DOTALL)
+IN_ROUND = re.compile(r"\s*(?P<name>.*?)\s*\((?P<unit>[^()]*)\)\s*", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,14 @@ class Column:
 
 
 def split_unit(text: str) -> tuple[str, str | None]:
-    """Split ``speed [km/h]`` into the name of a column and its unit; None without brackets."""
+    """Split ``speed [km/h]`` into the name of a column and its unit; None without brackets.
+
+    Round brackets do as well, where a unit that is known is in them.
+    """
     match = WITH_UNIT.fullmatch(text)
     assert match is not None  # it takes any text
+    if match["unit"] is None and (found := IN_ROUND.fullmatch(text)) and _dimension(found["unit"]):
+        return found["name"], found["unit"]
     return match["name"], match["unit"]
 
 
@@ -76,18 +82,33 @@ def check_units(source: str, table: Table, there: Container[str], given: Mapping
     texts = [column.text for column in columns_of(table) if DIMENSION[column.role] != STATE]
     for text in [*texts, *([] if table.time is None else [table.time])]:
         name, unit = name_in(there, text), split_unit(text)[1]
-        stem, in_name = split_unit(name)
+        in_name = split_unit(name)[1]
         own = given.get(name) or in_name
-        if name in there and own and unit and _meaning(own) not in (None, _meaning(unit)):
+        is_sure = name in given or not name.endswith(")")  # the 1 of "Speed (1)" is none
+        if name in there and own and unit and _differ(own, unit, is_sure):
+            asked = name if own == in_name else f"{name} [{own}]"
             raise LogError(
                 f"{source}: column {name!r} is in {own!r} by the file, and {text!r} takes it in {unit!r}; write "
-                f'"{stem} [{own}]", or correct the unit in the file'
+                f'"{asked}", or correct the unit in the file'
             )
+
+
+def _differ(own: str, unit: str, is_sure: bool) -> bool:
+    """Whether a column's ``own`` unit is known and another than ``unit``; if not ``is_sure``, of its dimension too."""
+    return _meaning(own) not in (None, _meaning(unit)) and (is_sure or _dimension(own) == _dimension(unit))
 
 
 def _meaning(unit: str) -> Conversion | float | None:
     """Conversion or factor of a unit, of a signal, a force or a time; None if it is not known."""
     return FORCE_UNITS.get(normal_form(unit)) or seconds_in(unit) or conversion_of(unit)
+
+
+def _dimension(unit: str) -> str | None:
+    """Dimension of a unit, as `_meaning`; None if it is not known."""
+    if normal_form(unit) in FORCE_UNITS:
+        return "N"
+    conversion = conversion_of(unit)
+    return "s" if seconds_in(unit) else None if conversion is None else conversion.dimension
 
 
 def columns_of(table: Table) -> list[Column]:

@@ -251,6 +251,24 @@ def test_a_table_as_a_spreadsheet_of_another_country_writes_it(encoding: str, tm
     assert columns_read(text, tmp_path / "a.csv", encoding) == expected
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_line_that_gives_the_separator_comes_before_the_names(encoding: str, tmp_path: Path) -> None:
+    """As Excel takes it; numbers of lines count it."""
+    text = "t;v, front, left, mean;P\r\n0,0;72,5;-1\r\n0,1;72,6;50\r\n"
+    expected = {"t": ["0.0", "0.1"], "v, front, left, mean": ["72.5", "72.6"], "P": ["-1", "50"]}
+    for line in ("sep=;\r\n", "SEP=;\n"):
+        assert columns_read(line + text, tmp_path / "a.csv", encoding) == expected
+    for line in ("sep=,\r\n", "sep=\t\n"):
+        with pytest.raises(LogError, match=r"line 2 "):
+            columns_read(line + text, tmp_path / "a.csv", encoding)
+    for rows, said in (
+        ("1;2;3;4\n", "row 1 has 4 cells, line 2 has 3 names"),
+        ('"1;2;3\n1;2;3\n', "line 3 has a quote"),
+    ):
+        with pytest.raises(LogError, match=said):
+            columns_read("sep=;\nt;v;P\n" + rows, tmp_path / "a.csv", encoding)
+
+
 def test_a_cell_that_is_infinite_and_a_row_that_is_short_are_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -666,6 +684,18 @@ def test_a_unit_in_the_heading_of_a_column_is_its_unit(text: str, time: str, tmp
         assert len(rows) == pytest.approx(n, abs=3)
 
 
+def test_a_unit_in_round_brackets_of_a_heading_is_its_unit(tmp_path: Path) -> None:
+    """Where it is a unit; other words in them are a part of the name."""
+    n = 200
+    columns = {"Time (ms)": 100.0 * np.arange(n), "Vehicle Speed (mph)": np.full(n, 45.0)}
+    columns |= {"Power (kW)": np.full(n, 50.0), "Brake (foot)": np.zeros(n)}
+    roles = {"time": "Time (ms)", "speed": "Vehicle Speed (mph)", "power": "Power (kW)", "brake_switch": "Brake (foot)"}
+    (rows,) = read(written_table(columns, tmp_path / "a.csv"), columns=roles).pieces
+    assert (rows.speed[50], rows.power[50]) == pytest.approx((45 * 0.44704, 5e4))
+    assert len(rows) == pytest.approx(n, abs=3)
+    assert split_unit("Speed (front)") == ("Speed (front)", None)
+
+
 @pytest.mark.parametrize(
     ("role", "said"),
     [
@@ -675,12 +705,17 @@ def test_a_unit_in_the_heading_of_a_column_is_its_unit(text: str, time: str, tmp
         ),
         (
             ["force=F[kN] [N]"],
-            """column 'F[kN]' is in 'kN' by the file, and 'F[kN] [N]' takes it in 'N'; write "F [kN]\"""",
+            """column 'F[kN]' is in 'kN' by the file, and 'F[kN] [N]' takes it in 'N'; write "F[kN]\"""",
         ),
         (
             ["time=t[ms] [s]"],
-            """column 't[ms]' is in 'ms' by the file, and 't[ms] [s]' takes it in 's'; write "t [ms]\"""",
+            """column 't[ms]' is in 'ms' by the file, and 't[ms] [s]' takes it in 's'; write "t[ms]\"""",
         ),
+        (
+            ["speed=v (mph) [km/h]"],
+            """column 'v (mph)' is in 'mph' by the file, and 'v (mph) [km/h]' takes it in 'km/h'; write "v (mph)\"""",
+        ),
+        (["speed=v (1) [km/h]"], ""),
         (["time=t[ms] [ms]"], ""),
         (["brake_switch=on[%] [1]"], ""),
     ],
@@ -689,7 +724,8 @@ def test_a_unit_beside_another_one_in_the_heading_is_refused(
     role: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     columns = {"t[ms]": 100 * np.arange(200), "v[km/h]": np.full(200, 72.0), "F[kN]": np.full(200, 2.0)}
-    file = written_table({**columns, "on[%]": np.zeros(200)}, tmp_path / "a.csv")
+    columns |= {"v (mph)": np.full(200, 45.0), "v (1)": np.full(200, 72.0), "on[%]": np.zeros(200)}
+    file = written_table(columns, tmp_path / "a.csv")
     roles = {part.split("=")[0]: part for part in ["time=t[ms]", "speed=v[km/h]", "force=F[kN]", *role]}
     maps = [part for text in roles.values() for part in ("--map", text)]
     if said:
