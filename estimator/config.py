@@ -54,6 +54,7 @@ FREE_TABLES: dict[str, Any] = {  # keys are the user's
     "lake.units": str,
     "lake.ranges": Range,
     "table.columns": str,
+    "table.alternatives": list[str],
 }
 
 TABLE_ROLES = {"power": Role.ENGINE_POWER.value, "force": Role.ENGINE_POWER.value}  # other names for them in a table

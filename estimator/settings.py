@@ -63,6 +63,7 @@ class Table(Section, frozen=True):
 
     time: str | None = None  # "COLUMN [s]"; default: the column that is called time, t, timestamp, ...
     columns: dict[str, str] = {}  # role = "COLUMN [unit]"; also power or force at the wheels
+    alternatives: dict[str, list[str]] = {}  # role = other columns of it, or time, in files that lack the one above
 
 
 class Kinematics(Section, frozen=True):

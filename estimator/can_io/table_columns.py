@@ -20,6 +20,7 @@ from estimator.units import Conversion, conversion_of, normal_form, spellings_of
 
 NUMBER_BYTES = 8
 FIRST_IDENT = 0x18FF0000  # of groups without a meaning of their own (J1939 proprietary B)
+TIME = "time"  # name of the column of times, beside the roles
 POWER, FORCE = "power", "force"  # names for the power at the wheels, and for the force there
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 _SECONDS = {normal_form(unit): seconds for unit, seconds in TIME_UNITS.items()}
@@ -117,7 +118,8 @@ def columns_of(table: Table) -> list[Column]:
     Raises
     ------
     ConfigError
-        A role is not known, or units are missing or do not fit; one message names all of them.
+        A role is not known, or units are missing or do not fit; one message names all of them. Or alternatives do not
+        fit the column that they stand for.
     """
     columns, wrong = list[Column](), list[str]()
     names = {role.value for role in Role} - {Role.WHEEL_SPEEDS.value} | {POWER, FORCE}
@@ -139,7 +141,62 @@ def columns_of(table: Table) -> list[Column]:
         raise ConfigError(f"table.columns: {role.value} is given twice; leave one of its columns")
     if any(column.is_force for column in columns) and Role.SPEED not in roles:
         raise ConfigError("table.columns.force: takes the speed to make a power; add a column of speed")
+    for key in table.alternatives:
+        _check_alternatives(table, key)
     return columns
+
+
+def texts_of(table: Table, key: str) -> list[str]:
+    """Column of a role, or of the time, and its alternatives; empty if there is none."""
+    first = table.time if key == TIME else table.columns.get(key)
+    return [] if first is None else [first, *table.alternatives.get(key, [])]
+
+
+def _check_alternatives(table: Table, key: str) -> None:
+    """Refuse alternatives of a column that is not given, has their name, or has another kind of unit."""
+    texts = texts_of(table, key)
+    if not texts:
+        raise ConfigError(f"table.alternatives.{key}: goes with a column in table.columns; write that too")
+    names = [split_unit(text)[0] for text in texts]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ConfigError(f"table.alternatives.{key}: the column {twice!r} is given twice; leave out one")
+    if key == TIME:
+        return
+    for text in texts[1:]:
+        columns_of(Table(columns={**table.columns, key: text}))
+        one, other = (split_unit(of)[1] for of in (texts[0], text))
+        if one and other and _dimension(one) != _dimension(other):
+            raise ConfigError(f'table.alternatives.{key}: "{texts[0]}" and "{text}" are of two kinds; give one of them')
+
+
+def in_file(source: str, table: Table, there: Container[str]) -> Table:
+    """The table with those columns that a file has, of the ones that are given for a role.
+
+    Raises
+    ------
+    LogError
+        It has several columns for a role.
+    """
+    chosen = dict[str, str]()
+    for key in table.alternatives:
+        texts = texts_of(table, key)
+        found = [text for text in texts if name_in(there, text) in there]
+        if len(found) > 1:
+            names = " and ".join(repr(name_in(there, text)) for text in found)
+            raise LogError(f"{source}: has the columns {names}, each given for {key}; leave out one of them")
+        chosen[key] = found[0] if found else texts[0]
+    time = chosen.pop(TIME, table.time)
+    return Table(time=time, columns={**table.columns, **chosen})
+
+
+def factor_and_offset(given: Column, first: Column) -> tuple[float, float]:
+    """What converts values from the unit of a ``given`` column to that of the ``first`` one of its role."""
+    if given.is_force:
+        return FORCE_UNITS[given.unit.lower()] / FORCE_UNITS[first.unit.lower()], 0.0
+    own, other = conversion_of(given.unit), conversion_of(first.unit)
+    if own is None or other is None or DIMENSION[given.role] == STATE:
+        return 1.0, 0.0
+    return own.scale / other.scale, (own.offset - other.offset) / other.scale
 
 
 def _misfit(key: str, role: Role, unit: str | None) -> str:

@@ -62,19 +62,21 @@ def add_map(parser: argparse.ArgumentParser) -> None:
 
 
 def table_of(given: Table | None, mappings: Sequence[str]) -> Table | None:
-    """The table of the configuration, with the columns of --map."""
+    """The table of the configuration, with the columns of --map; a second one of a role is its alternative."""
     if not mappings:
         return given
-    mapped = dict[str, str]()
+    mapped = dict[str, list[str]]()
     for mapping in mappings:
         role, sign, column = (part.strip() for part in mapping.partition("="))
         if not sign:
             raise ConfigError(f'--map {mapping}: write ROLE="COLUMN [unit]", as in --map speed="v [km/h]"')
-        if role in mapped:
-            raise ConfigError(f'--map {role}: is given twice, "{mapped[role]}" and "{column}"; leave out one')
-        mapped[role] = column
-    time = mapped.pop("time", given.time if given else None)
-    return Table(time=time, columns={**(given.columns if given else {}), **mapped})
+        mapped.setdefault(role, []).append(column)
+    before = given or Table()
+    columns = {role: texts[0] for role, texts in mapped.items()}
+    time = columns.pop("time", before.time)
+    alternatives = {role: texts for role, texts in before.alternatives.items() if role not in mapped}
+    alternatives |= {role: texts[1:] for role, texts in mapped.items() if len(texts) > 1}
+    return Table(time=time, columns={**before.columns, **columns}, alternatives=alternatives)
 
 
 def complain_of_databases(settings: Config) -> None:

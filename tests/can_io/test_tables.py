@@ -16,12 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_logs import TRUCK, ask, drive, written
 
+from estimator import config as configuration
 from estimator import estimate, from_table, read
 from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.logs import table_text
 from estimator.can_io.logs.table import SAME_TIME, SHORT, SUFFIXES, TableLog
 from estimator.can_io.logs.table_times import SameTimes
-from estimator.can_io.table_columns import seconds_in, split_unit
+from estimator.can_io.table_columns import columns_of, seconds_in, split_unit
+from estimator.commands.log_options import table_of
 from estimator.commands.main import main
 from estimator.config import Config, from_dict
 from estimator.errors import ConfigError, LogError, RoadloadError
@@ -198,8 +200,20 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
         (steady(), ["--map", "sped=v [m/s]"], "table.columns.sped: no such role; did you mean speed?"),
         (steady(), ["--map", "velocity_of_it=v [m/s]"], "table.columns.velocity_of_it: no such role; the roles are "),
         (steady(), ["--map", "speed"], '--map speed: write ROLE="COLUMN [unit]"'),
-        (steady(), [*MAP, "--map", "speed=w [m/s]"], '--map speed: is given twice, "v [km/h]" and "w [m/s]"; leave'),
-        (steady(), [*MAP, "--map", "time = t [ms]"], '--map time: is given twice, "t [s]" and "t [ms]"; leave out one'),
+        (steady(w=[20.0] * 200), [*MAP, "--map", "speed=w [m/s]"], "has the columns 'v' and 'w', each given for speed"),
+        (steady(), [*MAP, "--map", "speed=v [m/s]"], "table.alternatives.speed: the column 'v' is given twice; leave"),
+        (steady(), [*MAP, "--map", "time = t [ms]"], "table.alternatives.time: the column 't' is given twice; leave"),
+        (steady(), [*MAP, "--map", "speed=w"], 'speed = "w" has no unit; write it in brackets'),
+        (
+            steady(),
+            [*MAP, "--map", "grade=slope [deg]", "--map", "grade=Steigung [%]"],
+            'table.alternatives.grade: "slope [deg]" and "Steigung [%]" are of two kinds; give one of them',
+        ),
+        (
+            steady(),
+            ["--map", "speed=w [m/s]", "--map", "speed=x [km/h]", "--map", "power=P [kW]"],
+            "has no column 'w' or 'x'; there are 't', 'v', 'P'; where files name it differently, repeat --map speed=",
+        ),
         (steady(), ["--map", " speed = v "], 'speed = "v" has no unit; write it in brackets'),
         (
             steady(),
@@ -471,6 +485,30 @@ def test_tables_of_one_vehicle_are_a_fleet(log: Path, tmp_path: Path) -> None:
     assert (answer["drives"], answer["rows"], answer["vehicles_estimated"]) == (2, {"estimated": 2}, 1)
     drives = pq.read_table(tmp_path / "out" / "drives.parquet").to_pydict()
     assert drives["mass_kg_mean"] == pytest.approx([TRUCK.mass] * 2, rel=0.02)
+
+
+def test_files_may_have_other_names_and_units_of_a_column(tmp_path: Path) -> None:
+    """Two loggers, of one fleet: the same values come of both, also of a force, a temperature and times."""
+    n = 300
+    one = {"t": np.arange(n) / 10, "v": np.full(n, 72.0), "F": np.full(n, 2.0), "T": np.full(n, 20.0)}
+    other = {"Zeit": 100.0 * np.arange(n), "v_m": np.full(n, 20.0), "F_N": np.full(n, 2e3), "T_F": np.full(n, 68.0)}
+    mappings = ["time=t [s]", "time=Zeit [ms]", "speed=v [km/h]", "speed=v_m [m/s]", "force=F [kN]", "force=F_N [N]"]
+    mappings += ["ambient_temperature=T [degC]", "ambient_temperature=T_F [degF]"]
+    config = configuration.replace(Config(), table=table_of(None, mappings))
+    files = [written_table(columns, tmp_path / f"{i}.csv") for i, columns in enumerate((one, other))]
+    rows, others = (read(file, config).pieces[0] for file in files)
+    for of in (rows, others):
+        assert (of.speed[50], of.power[50]) == pytest.approx((20.0, 4e4))
+        assert of.context[Role.AMBIENT_TEMPERATURE][50] == pytest.approx(293.15)
+        assert of.t[-1] - of.t[0] == pytest.approx(n / 10, abs=0.3)
+
+
+def test_columns_of_the_command_come_before_those_of_the_configuration() -> None:
+    given = Table(columns={"speed": "v [km/h]"}, alternatives={"speed": ["w [m/s]"], "power": ["P [W]"]})
+    assert table_of(given, []) == given
+    assert table_of(given, ["speed=x [km/h]"]).alternatives == {"power": ["P [W]"]}
+    with pytest.raises(ConfigError, match=r"table\.alternatives\.power: goes with a column in table\.columns"):
+        columns_of(given)
 
 
 @pytest.mark.usefixtures("without_workers")

@@ -27,10 +27,13 @@ from estimator.can_io.table_columns import (
     Column,
     check_units,
     columns_of,
+    factor_and_offset,
     ident_of,
+    in_file,
     name_in,
     seconds_in,
     split_unit,
+    texts_of,
 )
 from estimator.can_io.time_order import MAX_TIME, finer_unit
 from estimator.errors import LogError
@@ -97,6 +100,7 @@ def _named(path: Path, table: Table, there: Iterable[str]) -> set[str]:
         Two columns have one of these names.
     """
     columns = list(there)
+    table = in_file(str(path), table, columns)
     given = [column.text for column in columns_of(table)] + ([] if table.time is None else [table.time])
     named = {name_in(columns, text) for text in given}
     if table.time is None:
@@ -125,9 +129,10 @@ def table_frames(
     previous, row, rows, name = -np.inf, 1, SameTimes(len(columns)), ""
     steps, held, is_judged = list[Floats](), list[Frames](), False
     for piece in pieces:
-        check_units(source, table, piece.cells, piece.units)
-        name, unit, cells = _time_cells(source, table, piece.cells)
-        t, values = _times(source, name, unit, cells, row), _values(source, columns, piece.cells, row)
+        here = in_file(source, table, piece.cells)
+        check_units(source, here, piece.cells, piece.units)
+        name, unit, cells = _time_cells(source, here, piece.cells)
+        t, values = _times(source, name, unit, cells, row), _values(source, table, here, piece.cells, row)
         whole = np.delete(np.arange(len(t)), piece.short)
         numbers, row = row + whole, row + len(t)
         t, values = t[whole], values[whole]
@@ -231,15 +236,24 @@ def _steps(source: str, t: Floats, previous: float, numbers: NDArray[np.intp]) -
     return steps[(steps > 0) & np.isfinite(steps)]
 
 
-def _values(source: str, columns: Sequence[Column], piece: Mapping[str, Any], row: int) -> Floats:
-    """Values (n, k) in the units of their columns; NaN for a cell without a value."""
-    names = [name_in(piece, column.text) for column in columns]
-    for name in names:
+def _values(source: str, table: Table, here: Table, piece: Mapping[str, Any], row: int) -> Floats:
+    """Values (n, k) in the units of the table's columns; NaN for a cell without a value.
+
+    Columns ``here`` in the file may be alternatives of them, in another unit.
+    """
+    values = list[Floats]()
+    for key, first, given in zip(table.columns, columns_of(table), columns_of(here), strict=True):
+        name = name_in(piece, given.text)
         if name not in piece:
-            raise LogError(f"{source}: has no column {name!r}; there are {_listed(piece)}")
-    known = [STATES if DIMENSION[column.role] == STATE else NOTHING for column in columns]
-    cells = [(name, piece[name]) for name in names]
-    return np.column_stack([_numbers(source, *of, row, texts) for of, texts in zip(cells, known, strict=True)])
+            names = " or ".join(repr(name_in(piece, text)) for text in texts_of(table, key))
+            raise LogError(
+                f"{source}: has no column {names}; there are {_listed(piece)}; where files name it differently, "
+                f"repeat --map {key}= with each name"
+            )
+        known = STATES if DIMENSION[given.role] == STATE else NOTHING
+        factor, offset = factor_and_offset(given, first)
+        values.append(factor * _numbers(source, name, piece[name], row, known) + offset)
+    return np.column_stack(values)
 
 
 def _numbers(source: str, name: str, cells: Any, row: int, known: Mapping[str, float] = NOTHING) -> Floats:
