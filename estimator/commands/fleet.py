@@ -135,13 +135,16 @@ def _complain_of_others(left_out: Sequence[str], kind: Kind) -> None:
 
 
 def _inputs(files: Found, out: Path) -> tuple[list[LogFile], list[str]]:
-    """Logs and left-out files but those of an earlier run in ``out``, which may be a folder of the source."""
-    own = {os.path.realpath(path) for path in left_over(out, ())}
+    """Logs and left-out files but those of earlier runs, in ``out`` or in other folders of the source."""
+    folders = {Path(path).parent for path in (*files.left_out, *(log.source for log in files.logs))}
+    outs = [out, *(folder for folder in folders if (folder / CACHE).is_dir())]
+    own = {os.path.realpath(path) for folder in outs for path in left_over(folder, ())}
     logs = [log for log in files.logs if os.path.realpath(log.source) not in own]
-    if len(logs) < len(files.logs) and not (out / CACHE).is_dir():  # not of an earlier run
+    written = {os.path.realpath(path) for path in left_over(out, ())}
+    if not (out / CACHE).is_dir() and any(os.path.realpath(log.source) in written for log in files.logs):
         raise ConfigError(f"{out}: has logs with the names of tables of a fleet; give another folder with -o")
     if not logs:
-        raise InputError(f"{out}: has no logs but tables of an earlier run; give the logs as SOURCE")
+        raise InputError("no logs there but tables of an earlier run; give the logs as SOURCE")
     return logs, [path for path in files.left_out if os.path.realpath(path) not in own]
 
 

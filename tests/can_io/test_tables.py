@@ -211,6 +211,11 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
         ),
         (
             steady(),
+            [*MAP[:4], "--map", "time=Zeit", "--map", "time=Time"],
+            "has no column 'Zeit' or 'Time'; there are 't', 'v', 'P'; where files name it differently, repeat --map ",
+        ),
+        (
+            steady(),
             ["--map", "speed=w [m/s]", "--map", "speed=x [km/h]", "--map", "power=P [kW]"],
             "has no column 'w' or 'x'; there are 't', 'v', 'P'; where files name it differently, repeat --map speed=",
         ),
@@ -535,11 +540,13 @@ def test_a_fleet_of_tables_counts_the_logs_of_frames_beside_them(
 def test_the_tables_of_a_fleet_are_no_logs_of_the_next_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     written_table(steady(), tmp_path / "van" / "a.csv")
-    for _ in range(2):
-        assert main(["fleet", str(tmp_path), "-o", str(tmp_path / "out"), *MAP, "--json"]) == 0
+    for name in ("out", "out", "other"):
+        assert main(["fleet", str(tmp_path), "-o", str(tmp_path / name), *MAP, "--json"]) == 0
         out, err = capsys.readouterr()
-        assert json.loads(out)["rows"].keys() == {"unestimated"}
+        assert json.loads(out)["rows"] == {"unestimated": 1}
         assert "drives." not in err
+    assert main(["fleet", str(tmp_path / "out"), "-o", str(tmp_path / "out"), *MAP]) == 2
+    assert "no logs there but tables of an earlier run; give the logs as SOURCE" in capsys.readouterr().err
     own = tmp_path / "own"
     written_table(steady(), own / "drives.csv")
     assert main(["fleet", str(own), "-o", str(own), *MAP]) == 2

@@ -23,6 +23,7 @@ from estimator.can_io.logs.table_times import SameTimes
 from estimator.can_io.table_columns import (
     FORCE_UNITS,
     NUMBER_BYTES,
+    TIME,
     TIME_UNITS,
     Column,
     check_units,
@@ -131,7 +132,7 @@ def table_frames(
     for piece in pieces:
         here = in_file(source, table, piece.cells)
         check_units(source, here, piece.cells, piece.units)
-        name, unit, cells = _time_cells(source, here, piece.cells)
+        name, unit, cells = _time_cells(source, table, here, piece.cells)
         t, values = _times(source, name, unit, cells, row), _values(source, table, here, piece.cells, row)
         whole = np.delete(np.arange(len(t)), piece.short)
         numbers, row = row + whole, row + len(t)
@@ -176,11 +177,13 @@ def _check_rate(source: str, name: str, steps: Sequence[Floats], latest: float) 
     )
 
 
-def _time_cells(source: str, table: Table, piece: Mapping[str, Any]) -> tuple[str, str | None, NDArray[Any]]:
+def _time_cells(
+    source: str, table: Table, here: Table, piece: Mapping[str, Any]
+) -> tuple[str, str | None, NDArray[Any]]:
     """Name, unit and cells (n,) of the times; a column of dates and one of times of day are joined."""
     guesses = sorted((column for column in piece if column.lower() in TIMES), key=str.lower)
-    if table.time is not None:
-        name, unit = name_in(piece, table.time), split_unit(table.time)[1]
+    if here.time is not None:
+        name, unit = name_in(piece, here.time), split_unit(here.time)[1]
     elif len(guesses) > 1:
         parts = [np.asarray(piece[column]).astype(str).tolist() for column in guesses]
         if [column.lower() for column in guesses] != ["date", "time"] or all(map(is_number, parts[1])):
@@ -189,9 +192,11 @@ def _time_cells(source: str, table: Table, piece: Mapping[str, Any]) -> tuple[st
         return guesses[1], None, np.array([" ".join(cells) for cells in zip(*parts, strict=True)])
     else:
         name, unit = next(iter(guesses), ""), None
-    if name not in piece:
-        wanted = f"column {name!r}" if name else f"column of times ({', '.join(TIMES[:4])} ...)"
+    if not name:
+        wanted = f"column of times ({', '.join(TIMES[:4])} ...)"
         raise LogError(f'{source}: has no {wanted}; name it: --map time="COLUMN [s]"; there are {_listed(piece)}')
+    if name not in piece:
+        raise _lacking(source, table, TIME, piece)
     return name, unit, np.asarray(piece[name])
 
 
@@ -245,15 +250,18 @@ def _values(source: str, table: Table, here: Table, piece: Mapping[str, Any], ro
     for key, first, given in zip(table.columns, columns_of(table), columns_of(here), strict=True):
         name = name_in(piece, given.text)
         if name not in piece:
-            names = " or ".join(repr(name_in(piece, text)) for text in texts_of(table, key))
-            raise LogError(
-                f"{source}: has no column {names}; there are {_listed(piece)}; where files name it differently, "
-                f"repeat --map {key}= with each name"
-            )
+            raise _lacking(source, table, key, piece)
         known = STATES if DIMENSION[given.role] == STATE else NOTHING
         factor, offset = factor_and_offset(given, first)
         values.append(factor * _numbers(source, name, piece[name], row, known) + offset)
     return np.column_stack(values)
+
+
+def _lacking(source: str, table: Table, key: str, piece: Mapping[str, Any]) -> LogError:
+    """Error of a table without the column of a role, or of the time, and its alternatives."""
+    names = " or ".join(repr(name_in(piece, text)) for text in texts_of(table, key))
+    remedy = f"where files name it differently, repeat --map {key}= with each name"
+    return LogError(f"{source}: has no column {names}; there are {_listed(piece)}; {remedy}")
 
 
 def _numbers(source: str, name: str, cells: Any, row: int, known: Mapping[str, float] = NOTHING) -> Floats:
