@@ -190,7 +190,7 @@ def in_file(source: str, table: Table, there: Container[str]) -> Table:
 
 
 def factor_and_offset(given: Column, first: Column) -> tuple[float, float]:
-    """What converts values from the unit of a ``given`` column to that of the ``first`` one of its role."""
+    """Factor and offset from the unit of a ``given`` column to that of the ``first`` one of its role."""
     if given.is_force:
         return FORCE_UNITS[given.unit.lower()] / FORCE_UNITS[first.unit.lower()], 0.0
     own, other = conversion_of(given.unit), conversion_of(first.unit)

@@ -37,7 +37,7 @@ def _unbound(config: Config) -> tuple[str, ...]:
 
 
 def _advice_on_a_bus(config: Config) -> dict[Role, str]:
-    """What binds each part of the torque, with its signal where the database has it."""
+    """Advice on each part of the torque, with its signal where the database has it."""
     found = {
         signal.spn: f"{message.name}.{signal.name}"
         for message in load_database(config.bus.dbc).messages
@@ -53,5 +53,5 @@ def _advice_on_a_bus(config: Config) -> dict[Role, str]:
 
 
 def _advice_on_a_table() -> dict[Role, str]:
-    """What binds each part of the torque to a column."""
+    """Advice on each part of the torque, with the option that names a column."""
     return {role: f'if the table has a column of it, add --map {role}="COLUMN [%]"' for role in SPNS}

@@ -85,7 +85,8 @@ def test_a_cycle_there_and_back(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--effect", "wind"], list(KINDS)),
+        (["--effect", "wind"], ["did you mean headwind?"]),
+        (["--effect", "xyz"], list(KINDS)),
         (["--effect", "grade=3"], ["grade", "plausible"]),
         (["--effect", "grade", "--effect", "grade"], ["twice"]),
         (["--cycle", "nowhere.csv"], ["nowhere.csv"]),
