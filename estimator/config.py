@@ -368,20 +368,30 @@ def read_map(path: Path) -> bytes:
 
 
 def estimation_key(config: Config) -> str:
-    """Digest of everything that the meaning of a saved state depends on: vehicle, databases, map, settings.
+    """Digests of everything that an estimate depends on, as ``table=digest``: vehicle, databases, map, settings.
 
     Raises
     ------
     ConfigError
         The map cannot be read.
     """
-    relevant = {
-        name: getattr(config, name) for name in config.__struct_fields__ if name not in (*DAEMON_TABLES, "road")
-    }
-    relevant["bus"] = msgspec.structs.replace(config.bus, dbc=[])
-    digest = blake2b(msgspec.json.encode(relevant, order="sorted"), digest_size=16)
-    for name in config.bus.dbc or [str(files("estimator.dbc").joinpath("j1939.dbc"))]:
-        digest.update(Path(name).read_bytes())
+    tables = {name: getattr(config, name) for name in config.__struct_fields__ if name not in (*DAEMON_TABLES, "road")}
+    tables["bus"] = msgspec.structs.replace(config.bus, dbc=[])
+    contents = {name: msgspec.json.encode(table, order="sorted") for name, table in tables.items()}
+    databases = config.bus.dbc or [str(files("estimator.dbc").joinpath("j1939.dbc"))]
+    contents["bus.dbc"] = b"".join(Path(name).read_bytes() for name in databases)
     if config.road.map is not None:
-        digest.update(read_map(Path(config.road.map)))
-    return digest.hexdigest()
+        contents["road.map"] = read_map(Path(config.road.map))
+    return " ".join(f"{name}={blake2b(content, digest_size=16).hexdigest()}" for name, content in contents.items())
+
+
+def state_key(config: Config) -> str:
+    """`estimation_key` of what a saved state depends on: of ``[gate]`` only the cells, for the rest only judges it.
+
+    Raises
+    ------
+    ConfigError
+        The map cannot be read.
+    """
+    cells = {name: getattr(config.gate, name) for name in ("speed_step_m_s", "acceleration_step_m_s2")}
+    return estimation_key(replace(config, gate=Gate(**cells)))

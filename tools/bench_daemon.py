@@ -41,7 +41,7 @@ from harness.check import Cells, Check, Figures, Table
 from estimator import config as configuration
 from estimator.can_io.binding import bind, load_database
 from estimator.checkpoint.store import StateStore
-from estimator.config import Config, estimation_key
+from estimator.config import Config, state_key
 from estimator.daemon.reception.filters import input_filters
 from estimator.daemon.service.worker import Worker
 from estimator.streaming.pipeline import Pipeline
@@ -93,7 +93,7 @@ def write_state(folder: Path, minutes: float, outputs: str) -> None:
     config = configuration.load(settings)
     if minutes:
         frames = traffic.drive(60 * minutes, seed=1)
-        worker = Worker(Pipeline(config, is_live=True), len(frames), StateStore(folder), estimation_key(config))
+        worker = Worker(Pipeline(config, is_live=True), len(frames), StateStore(folder), state_key(config))
         worker.offer(replace(frames, t=frames.t - frames.t[-1] + time.time()))
         worker.close()
 

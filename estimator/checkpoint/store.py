@@ -49,7 +49,7 @@ class StateStore:
         state
             Dictionaries, lists, numbers, strings and numpy arrays.
         key
-            What the state belongs to, e.g. a hash of vehicle, databases and configuration.
+            What the state belongs to: digests of vehicle, databases and configuration, as ``name=digest``.
 
         Raises
         ------
@@ -76,7 +76,8 @@ class StateStore:
     def load(self, key: str) -> tuple[dict[str, Any] | None, str]:
         """The newest whole state that was saved under ``key``, or None, and why it is not simply the newest.
 
-        The reason is empty when all is well. Leftovers of writers that were cut off are removed.
+        The reason is empty when all is well, as where none was saved yet. Leftovers of writers that were cut off are
+        removed.
         """
         try:
             self._check_directory()
@@ -84,7 +85,7 @@ class StateStore:
                 with suppress(OSError):  # it is never read
                     leftover.unlink()
         except FileNotFoundError:
-            return None, f"{self._directory}: no state saved yet"
+            return None, ""
         except (OSError, StateError) as error:
             return None, _reason(self._directory, error)
         reasons, missing = [], []
@@ -99,7 +100,7 @@ class StateStore:
                 self._sound = path == self._current
                 worse = [*missing, *reasons]
                 return state, "; ".join([*worse, "the previous state is used"]) if worse else ""
-        return None, "; ".join(reasons) or f"{self._directory}: no state saved yet"
+        return None, "; ".join(reasons)
 
     def _check_directory(self) -> None:
         check_owner(os.stat(self._directory))
@@ -143,13 +144,21 @@ def unpack(content: bytes, key: str) -> dict[str, Any]:
     if schema != SCHEMA:
         raise StateError(f"has schema {schema} instead of {SCHEMA}")
     if name != key.encode():
-        raise StateError("belongs to another vehicle, database or configuration")
+        changed = _changed(name.decode(errors="replace"), key)
+        raise StateError(f"belongs to another vehicle, database or configuration{changed}")
     try:
         inflated = zlib.decompressobj().decompress(payload, MAX_BYTES)
         state: dict[str, Any] = msgspec.msgpack.decode(inflated, type=dict[str, Any], ext_hook=_decode)
     except (zlib.error, msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
         raise StateError(f"is not readable: {error}") from error
     return state
+
+
+def _changed(then: str, now: str) -> str:
+    """Clause that names the parts ``name=digest`` of two keys that differ; empty where they have none."""
+    before, after = (dict(part.split("=", 1) for part in key.split() if "=" in part) for key in (then, now))
+    names = sorted(name for name in before.keys() | after.keys() if before.get(name) != after.get(name))
+    return f": changed in {', '.join(names)}" if names else ""
 
 
 def _digest(*parts: bytes) -> bytes:

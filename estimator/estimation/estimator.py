@@ -49,6 +49,7 @@ class Estimator:
         self.segment = 0  # number of the load, counted since the start of this process
         self.failed_updates = 0  # updates that failed numerically, since the start of this process
         self._config = config
+        self._interval = round(config.gate.interval_s / STEP)  # rows
         self._stage = StrideStage(config)
         inference = RoadInference if config.sampler.likelihood == "road" else PaperInference
         self._inference: RoadInference | PaperInference = inference(config, self.window, rng)
@@ -157,13 +158,15 @@ class Estimator:
         Raises
         ------
         StateError
-            The state does not belong to an estimator with this configuration.
+            The state does not belong to an estimator with this configuration, whose gate may have other limits.
         """
         if read(state, "likelihood", str) != self._config.sampler.likelihood:
             raise StateError("likelihood: is another one")
         self.window.restore(substate(state, "window"))
         self._stage.restore(substate(state, "stage"))
         self._next, self._due = read(state, "next", int | None), read(state, "due", int | None)
+        if self._next is not None and self._due is not None:  # the state may be one of a longer interval
+            self._due = min(self._due, self._next + self._interval)
         self._at_last = read(state, "at_last", Count)
         self._latest = read(state, "latest", Estimate | None)
         self._scale.restore(substate(state, "scale"))
@@ -197,11 +200,10 @@ class Estimator:
         if not len(piece.rows):
             return
         newest = int(piece.rows.index[-1])
-        interval = round(self._config.gate.interval_s / STEP)
         if self._due is None:
-            self._due = int(piece.rows.index[0]) + interval
+            self._due = int(piece.rows.index[0]) + self._interval
         if newest >= self._due:
-            self._due += interval * ((newest - self._due) // interval + 1)
+            self._due += self._interval * ((newest - self._due) // self._interval + 1)
             if self._has_news:
                 yield self._conclude(newest * STEP)
 

@@ -50,7 +50,7 @@ def test_any_bytes_are_refused_by_name(content):
 
 def test_generations(tmp_path):
     store = StateStore(tmp_path)
-    assert store.load("k") == (None, f"{tmp_path}: no state saved yet")
+    assert store.load("k") == (None, "")
     for n in range(3):
         store.save({"n": n}, "k")
     assert store.load("k") == ({"n": 2}, "")
@@ -91,6 +91,12 @@ def test_another_key_is_discarded(tmp_path):
     state, reason = StateStore(tmp_path).load("truck 2")
     assert state is None
     assert reason == f"{tmp_path}/state: belongs to another vehicle, database or configuration"
+
+
+def test_what_differs_in_another_key_is_named(tmp_path):
+    StateStore(tmp_path).save({"n": 1}, "vehicle=a1 bus=b prior=c road.map=d")
+    _, reason = StateStore(tmp_path).load("vehicle=a2 bus=b prior=c2")
+    assert reason.endswith("or configuration: changed in prior, road.map, vehicle")
 
 
 def test_another_schema_is_discarded(tmp_path, monkeypatch):

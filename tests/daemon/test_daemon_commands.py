@@ -128,16 +128,39 @@ def test_a_state_belongs_to_what_it_was_estimated_with(
 ) -> None:
     (tmp_path / "own.dbc").write_text((DBC / "j1939.dbc").read_text())
     base = config.from_dict({"bus": {"dbc": [str(tmp_path / "own.dbc")]}})
-    key = config.estimation_key(base)
-    assert config.estimation_key(config.replace(base, transmit=Transmit(enabled=True))) == key
-    assert config.estimation_key(config.replace(base, vehicle=Vehicle(driveline_efficiency=0.9))) != key
+    key = config.state_key(base)
+    assert config.state_key(config.replace(base, transmit=Transmit(enabled=True))) == key
+    assert config.state_key(config.replace(base, vehicle=Vehicle(driveline_efficiency=0.9))) != key
     (tmp_path / "own.dbc").write_text((DBC / "j1939.dbc").read_text() + "\n")
-    assert config.estimation_key(base) != key
-    given, without = config.estimation_key(base), config.estimation_key(config.Config())
+    assert config.state_key(base) != key
+    given, without = config.state_key(base), config.state_key(config.Config())
     monkeypatch.setattr(config, "files", lambda package: tmp_path)
     (tmp_path / "j1939.dbc").write_text("another version of what is shipped")
-    assert config.estimation_key(config.Config()) != without
-    assert config.estimation_key(base) == given
+    assert config.state_key(config.Config()) != without
+    assert config.state_key(base) == given
+
+
+def test_a_state_is_used_again_under_other_limits_of_the_gate() -> None:
+    usual, other = config.Config(), config.from_dict({"gate": {"interval_s": 20.0, "coverage": 0.3}})
+    assert config.state_key(other) == config.state_key(usual)
+    assert config.estimation_key(other) != config.estimation_key(usual)
+    cells = config.from_dict({"gate": {"speed_step_m_s": 3.0}})  # which a state has by their numbers
+    assert config.state_key(cells) != config.state_key(usual)
+
+
+def test_a_state_that_is_refused_is_a_warning_that_names_what_changed(
+    settings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    loaded, store = config.load(settings), StateStore(tmp_path / "state")
+    caplog.set_level("INFO")
+    restored(loaded, store, config.state_key(loaded))
+    assert "no state saved yet" in caplog.text
+    assert "WARNING" not in caplog.text
+    store.save(Pipeline(loaded).state(), config.state_key(loaded))
+    other = config.replace(loaded, vehicle=Vehicle(driveline_efficiency=0.9))
+    restored(other, store, config.state_key(other))
+    assert "WARNING" in caplog.text
+    assert "configuration: changed in vehicle" in caplog.text
 
 
 def test_check_tells_whether_a_log_can_feed_the_model(cli: Callable[..., Outcome], log: Path, tmp_path: Path) -> None:
@@ -444,6 +467,32 @@ def test_the_clock_of_a_bus_goes_on_with_the_pipeline(settings: Path, monkeypatc
     first, second, third = (list(daemon.clocks.values()) for daemon in served)
     assert second[0] is first[0]
     assert third[0] is not second[0]
+
+
+def test_a_reload_with_another_gate_goes_on_with_the_drive(
+    settings: Path, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = Frames.concatenate(list(open_log(log)))
+    frames = replace(frames, t=frames.t - frames.t[0] + 1.7e9)
+    first, served = frames.t < 1.7e9 + 50, list[Pipeline]()
+
+    def serve(daemon: Daemon, *others: object) -> Plan | None:
+        served.append(daemon.worker.pipeline)
+        if len(served) == 2:
+            return None
+        daemon.worker.offer(frames[first])
+        daemon.close()
+        settings.write_text(settings.read_text() + "[gate]\ninterval_s = 20.0\n")
+        return plan(settings, None, Namespace())
+
+    monkeypatch.setattr(supervision, "_serve", serve)
+    supervise(lambda: plan(settings, None, Namespace()), Signals())
+    before, after = served
+    list(after.feed(frames[~first]))
+    assert after.config.gate.interval_s == 20.0
+    assert after.traffic.frames == len(frames)
+    assert after.estimator.segment == before.estimator.segment
+    assert after.traffic.rows.valid > before.traffic.rows.valid
 
 
 def test_an_estimator_that_fails_at_the_end_saves_nothing_and_leaves_no_status(

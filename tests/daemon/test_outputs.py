@@ -278,7 +278,7 @@ def test_files_are_relative_to_the_configuration(tmp_path: Path) -> None:
 def test_outputs_do_not_belong_to_the_saved_state() -> None:
     plain = config.from_dict({})
     sending = config.from_dict({"mqtt": {"host": "h"}, "kuksa": {"host": "k"}})
-    assert config.estimation_key(plain) == config.estimation_key(sending)
+    assert config.state_key(plain) == config.state_key(sending)
 
 
 @pytest.mark.parametrize(("library", "table"), [("paho", "mqtt"), ("kuksa", "kuksa")])

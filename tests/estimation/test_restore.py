@@ -36,7 +36,7 @@ TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 SAVED, END = 720.0, 1080.0  # s into the drive
 SPARSE = {"gate": {"interval_s": 240.0}}
 REBUILT = {  # what traffic or the configuration shows again
-    Estimator: {"_config", "_resting", "failed_updates", "segment"},
+    Estimator: {"_config", "_interval", "_resting", "failed_updates", "segment"},
     StrideStage: {"_config", "_effects", "wanted"},
     RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
     Continued: {"_past"},
@@ -294,6 +294,30 @@ def test_a_sender_that_was_exchanged_is_found_on_the_next_drive(drive, state):
     later = restored(state)
     list(later.feed(moved(by(between(drive, SAVED, SAVED + 30), 0x77), 2 * MIN_NEW_DRIVE_SILENCE)))
     assert set(later.traffic.sources.values()) == {0x77}
+
+
+def test_other_limits_of_the_gate_judge_what_was_kept(drive, state):
+    rest = between(drive, SAVED, END)
+    expected = run(restored(state), rest)
+    limits = {"minimum_samples": 1000, "minimum_cells": 9, "coverage": 0.2, "relative_sd": (0.4, 0.4, 0.09)}
+    assert run(restored(state, gate=SPARSE["gate"] | limits), rest) == expected
+    refused = run(restored(state, gate=SPARSE["gate"] | {"relative_sd": (0.5, 0.5, 1e-6)}), rest)
+    assert refused.status == Status.UNESTIMATED
+    assert refused.admitted == expected.admitted
+
+
+def test_another_interval_holds_from_the_restore_on(drive, state):
+    kept, rest = deepcopy(state), between(drive, SAVED, END)
+    kept["estimator"]["due"] += round(3600.0 / STEP)  # as an interval of an hour leaves it
+    expected, pipeline = run(restored(state), rest), restored(kept, gate={"interval_s": 60.0})
+    _, *updates = pipeline.feed(rest)  # the first is of the rows before the absence
+    times = np.array([update.t for update in updates]) - EPOCH
+    assert len(times) > 3
+    assert np.all(np.diff(times) >= 59.0)
+    assert times[0] < SAVED + 120.0  # the second minute has news
+    *_, estimate = pipeline.finish()
+    assert estimate.admitted == expected.admitted
+    assert estimate.mass.mean == pytest.approx(expected.mass.mean, abs=0.5 * expected.mass.sd)
 
 
 def test_restored_and_saved_again_is_the_same(state):

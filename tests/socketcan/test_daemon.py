@@ -27,7 +27,7 @@ from estimator.can_io.j1939_node import ADDRESS_CLAIMED
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
 from estimator.checkpoint.store import StateStore
-from estimator.config import estimation_key, load
+from estimator.config import load, state_key
 from estimator.daemon.service.assembly import plan
 from estimator.daemon.service.supervision import Signals, supervise
 from estimator.daemon.service.worker import Worker
@@ -113,7 +113,7 @@ def remember(drive: Frames, settings: Path) -> None:
     """Leave the state of a daemon that heard the first part of the drive, until half a minute ago."""
     config = load(settings)
     before = drive[drive.t - drive.t[0] < KNOWN]
-    worker = Worker(Pipeline(config), len(before), StateStore(settings.parent), estimation_key(config))
+    worker = Worker(Pipeline(config), len(before), StateStore(settings.parent), state_key(config))
     worker.offer(replace(before, t=before.t - before.t[-1] + time.time() - 30))
     worker.close()
 

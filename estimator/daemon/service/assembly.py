@@ -15,7 +15,7 @@ from estimator.can_io.foreign_senders import CVW
 from estimator.can_io.publisher import output_groups
 from estimator.can_io.trouble_codes import TroubleMemory
 from estimator.checkpoint.store import StateStore
-from estimator.config import Config, estimation_key
+from estimator.config import Config, state_key
 from estimator.daemon.outputs import configured
 from estimator.daemon.outputs.output import Output
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
@@ -93,7 +93,7 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
             target = named
     elif any(name.startswith("output_") for name in vars(options)):
         raise ConfigError("an output bus is named, but transmission is off; give --transmit or leave the bus out")
-    return Plan(config=settings, messages=messages, source=source, target=target, key=estimation_key(settings))
+    return Plan(config=settings, messages=messages, source=source, target=target, key=state_key(settings))
 
 
 def _check_groups(messages: list[BoundMessage], settings: Config) -> None:
@@ -110,7 +110,9 @@ def restored(settings: Config, store: StateStore, key: str) -> Pipeline:
     """A pipeline that goes on where the last one stopped, as far as that is known."""
     state, reason = store.load(key)
     if reason:
-        log.info("saved state: %s", reason)
+        log.warning("saved state: %s", reason)
+    elif state is None:
+        log.info("%s", "no state saved yet")
     if state is not None:
         pipeline, boot = Pipeline(settings, is_live=True), boot_id()
         try:

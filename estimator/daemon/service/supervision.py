@@ -68,11 +68,12 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
             return
         if daemon.worker.is_running:
             raise RoadloadError("the estimator did not finish before the new configuration could be used; start again")
-        # The same vehicle and settings: the pipeline is kept, to the last frame, and so is its time. What an estimator
-        # that failed leaves may be broken: its state is restored.
-        is_same = following.key == plan.key
+        # The same vehicle and settings: the pipeline is kept, to the last frame, and so is its time. With another gate,
+        # and where an estimator failed, which leaves what may be broken, the saved state is restored instead.
+        is_same, is_same_gate = following.key == plan.key, following.config.gate == plan.config.gate
         clocks = daemon.clocks if is_same else None
-        pipeline = daemon.worker.pipeline if is_same and daemon.worker.failure is None else None
+        is_kept = is_same and is_same_gate and daemon.worker.failure is None
+        pipeline = daemon.worker.pipeline if is_kept else None
         plan = following
 
 
