@@ -4,6 +4,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import reduce
 from hashlib import blake2b
 from importlib.resources import files
@@ -12,7 +13,7 @@ from typing import Any, get_args
 
 import msgspec
 
-from estimator.errors import ConfigError
+from estimator.errors import ConfigError, DatabaseError
 from estimator.input_files import read_bounded
 from estimator.near_names import did_you_mean
 from estimator.roles import Role
@@ -300,10 +301,8 @@ def load(path: Path | str | None = None) -> Config:
         raise ConfigError(f"{path}: {error.strerror}{there}{proposal}") from error
     except (ValueError, RecursionError) as error:  # also bytes that are not UTF-8, and numbers of thousands of digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
-    try:
+    with in_file(path):
         config = from_dict(tables)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
     databases = [str(path.parent / name) for name in config.bus.dbc]
     road = None if config.road.map is None else str(path.parent / config.road.map)
     return replace(
@@ -313,6 +312,21 @@ def load(path: Path | str | None = None) -> Config:
         mqtt=_beside(path, config.mqtt),
         kuksa=_beside(path, config.kuksa),
     )
+
+
+@contextmanager
+def in_file(path: Path | None) -> Iterator[None]:
+    """Say the configuration file in errors of the context, which name its keys; None where there is no file.
+
+    Raises
+    ------
+    ConfigError, DatabaseError
+        That of the context.
+    """
+    try:
+        yield
+    except (ConfigError, DatabaseError) as error:
+        raise error if path is None else type(error)(f"{path}: {error}") from error
 
 
 def _beside(path: Path, table: Mqtt | Kuksa | None) -> Mqtt | Kuksa | None:

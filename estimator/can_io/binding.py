@@ -171,8 +171,8 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     if wrong_units:
         line = ", ".join(f'"{path}" = "{unit}"' for path, unit in remedies.items())
         raise DatabaseError(
-            f"units: {'; '.join(wrong_units.values())}. Write the right {'one' if len(remedies) == 1 else 'ones'} into "
-            f"the configuration, for example [bus] units = {{ {line} }}"
+            f"bus.units: {'; '.join(wrong_units.values())}. Write the right {'one' if len(remedies) == 1 else 'ones'} "
+            f"into the configuration, for example [bus] units = {{ {line} }}"
         )
     for name in config.bus.source_addresses:
         if name not in wanted:

@@ -5,6 +5,8 @@ signals the time grows with the square of their number.
 """
 
 import codecs
+import errno
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +19,23 @@ MAX_TOKENS = 400_000  # names, numbers, texts and other characters of all databa
 MAX_TEXT = 1 << 16  # characters of a quoted text
 MAX_SIGNALS = 1000  # of a message
 _TOKEN = re.compile(r'"[^"]*"?|[\w.+-]+|\S')
+
+
+def require_files(paths: list[str]) -> None:
+    """Refuse names of DBC files that do not exist.
+
+    Raises
+    ------
+    DatabaseError
+        One does not.
+    """
+    for path in paths:
+        if not Path(path).exists():
+            raise DatabaseError(_not_read(path, os.strerror(errno.ENOENT)))
+
+
+def _not_read(path: str, reason: str | None) -> str:
+    return f"{path}: {reason}; correct bus.dbc, or give --dbc FILE.dbc"
 
 
 def read_databases(paths: list[str]) -> Iterator[tuple[str, str]]:
@@ -32,7 +51,7 @@ def read_databases(paths: list[str]) -> Iterator[tuple[str, str]]:
         try:
             data = read_bounded(Path(path), MAX_BYTES)
         except OSError as error:
-            raise DatabaseError(f"{path}: {error.strerror}; correct bus.dbc, or give --dbc FILE.dbc") from error
+            raise DatabaseError(_not_read(path, error.strerror)) from error
         text = _text(data)
         bytes_left -= len(data)
         tokens_left -= _checked_tokens(path, text, tokens_left)

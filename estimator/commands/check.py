@@ -49,8 +49,9 @@ def run(options: argparse.Namespace) -> int:
     """Inspect the log or the bus, or the configuration alone; exit status 0 if an estimate can come of it."""
     settings = settle(options.config, options.dbc, options)
     settings = config.replace(settings, table=table_of(settings.table, options.map))
-    messages = bound_messages(settings)
-    named(settings.effects)
+    with config.in_file(options.config):
+        messages = bound_messages(settings)
+        named(settings.effects)
     if options.print_config:
         print_config(settings)
         return 0

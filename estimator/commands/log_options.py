@@ -9,13 +9,15 @@ import msgspec
 
 from estimator import config
 from estimator.can_io.binding import load_database
+from estimator.can_io.bound_traffic import bound_messages
+from estimator.can_io.database_limits import require_files
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.logs.channels import described
 from estimator.commands.arguments import positive, whole_number
 from estimator.commands.complaints import complain
 from estimator.config import Config
 from estimator.errors import ConfigError
-from estimator.model.effects import CATALOGUE
+from estimator.model.effects import CATALOGUE, named
 from estimator.output_files import check_suffix
 from estimator.settings import Table
 
@@ -113,10 +115,12 @@ def settings(options: argparse.Namespace) -> Config:
 
     Raises
     ------
-    ConfigError
-        The file or an option is wrong; the message names the key.
+    ConfigError, DatabaseError
+        The file or an option is wrong, or does not fit the databases; the message names the file and the key.
     """
     found = config.load(options.config)
+    with config.in_file(options.config):
+        named(found.effects)
     if options.dbc:
         found = config.replace(found, bus=msgspec.structs.replace(found.bus, dbc=options.dbc))
     if getattr(options, "channels", None):
@@ -128,4 +132,9 @@ def settings(options: argparse.Namespace) -> Config:
     if getattr(options, "seed", None) is not None:
         found = config.replace(found, sampler=msgspec.structs.replace(found.sampler, seed=options.seed))
     config.check(found)
+    with config.in_file(None if options.dbc else options.config):
+        require_files(found.bus.dbc)
+    if found.table is None:
+        with config.in_file(options.config):
+            bound_messages(found)
     return found

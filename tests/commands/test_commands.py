@@ -37,6 +37,29 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.parametrize("command", ["check", "inspect", "estimate"])
+@pytest.mark.parametrize(
+    ("text", "fragment"),
+    [
+        ("[bus]\ndbc = ['no.dbc']\n", "DIR/no.dbc: No such file or directory; correct bus.dbc, or give --dbc FILE.dbc"),
+        ("[signals]\nspeed = 'A.B'\n", "signals.speed: the DBC has no message 'A'"),
+        ("[signals]\nspeed = 'EEC1.EngSpeed'\n", "bus.units: EEC1.EngSpeed has the unit 'rpm'"),
+    ],
+)
+def test_what_does_not_fit_the_databases_names_file_key_and_remedy(
+    cli: Cli, log: Path, tmp_path: Path, command: str, text: str, fragment: str
+) -> None:
+    file = tmp_path / "c.toml"
+    file.write_text(text)
+    fails(cli(command, log, "--config", file), f"error: {file}: {fragment.replace('DIR', str(tmp_path))}")
+
+
+def test_a_missing_file_of_an_option_is_not_blamed_on_the_configuration(cli: Cli, log: Path, tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text("")
+    outcome = cli("estimate", log, "--config", tmp_path / "c.toml", "--dbc", tmp_path / "no.dbc")
+    fails(outcome, f"error: {tmp_path / 'no.dbc'}: No such file")
+
+
 JSON_KEYS = {
     "schema",
     "status",

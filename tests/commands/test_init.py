@@ -357,7 +357,7 @@ def test_check_without_a_log_refuses_what_an_estimate_refuses(tmp_path: Path, cl
     assert checked == cli("estimate", EXAMPLE / "van.blf", "--config", file)
     status, out, err = checked
     assert (status, out) == (2, "")
-    assert err.startswith("error: effects: 'grde' is not known; did you mean grade?")
+    assert err.startswith(f"error: {file}: effects: 'grde' is not known; did you mean grade?")
 
 
 def test_a_mistyped_command_names_the_nearest(cli: Cli) -> None:

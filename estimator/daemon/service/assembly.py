@@ -11,6 +11,7 @@ import numpy as np
 
 from estimator import config as configuration
 from estimator.can_io.binding import BoundMessage, bind, load_database
+from estimator.can_io.database_limits import require_files
 from estimator.can_io.foreign_senders import CVW
 from estimator.can_io.publisher import output_groups
 from estimator.can_io.trouble_codes import TroubleMemory
@@ -62,6 +63,8 @@ def settle(path: Path | None, dbc: list[str] | None, options: argparse.Namespace
     if getattr(options, "transmit", False):
         transmit = msgspec.structs.replace(transmit, enabled=True)
     settings = configuration.replace(settings, reception=with_bus(settings.reception, options), transmit=transmit)
+    with configuration.in_file(None if dbc else path):
+        require_files(settings.bus.dbc)
     file_permissions.check_files(path, settings)
     return settings
 
@@ -79,10 +82,11 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
         raise ConfigError("lake: a bus carries frames; take the table out")
     configured.check(settings)
     database = load_database(settings.bus.dbc)
-    messages = bind(settings, database)
+    with configuration.in_file(path):
+        messages = bind(settings, database)
+        Pipeline(settings, is_live=True)  # raises if an effect is not known, or the map cannot be read
     for remark in database.remarks:
         log.warning("%s", remark)
-    Pipeline(settings, is_live=True)  # raises if an effect is not known, or the map cannot be read
     source = spec_of(options, settings.reception)
     source.resolved()
     target: BusSpec | None = None
