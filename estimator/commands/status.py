@@ -34,7 +34,8 @@ def run(options: argparse.Namespace) -> int:
     places = folders.status_places(config.load(options.config).service)
     path = next((place for place in places if place.is_file()), None)
     if path is None:
-        missing = f"there is no {' nor '.join(map(str, places))}"
+        hint = "" if options.config else "; give --config FILE.toml if the daemon has service.runtime_directory"
+        missing = f"there is no {' nor '.join(map(str, places))}{hint}"
         if options.json:
             print_json(NotRunningAnswer(why_not=missing))
         else:
