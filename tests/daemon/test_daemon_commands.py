@@ -26,7 +26,7 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import open_log
 from estimator.checkpoint.store import StateStore
-from estimator.daemon.service import folder_lock, supervision
+from estimator.daemon.service import folder_lock, folders, supervision
 from estimator.daemon.service.assembly import Plan, plan, restored
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.sd_notify import Notifier
@@ -80,6 +80,7 @@ def test_the_printed_configuration_is_the_one_in_force(cli: Callable[..., Outcom
         ("", ["-i", "socketcan", "-c", "can/0"], "cannot be the name"),
         ("", ["-i", "virtual"], "no channel"),
         ("", ["-i", "nonsense", "-c", "x"], "nonsense"),
+        ("", ["-i", "udp_multicast", "-c", "can0"], "give -c 239.0.0.77"),
         ("[transmit]\nenabled = 3\n", [], "transmit.enabled"),
         ("[bus]\ndbc = ['no.dbc']\n", [], "c.toml: DIR/no.dbc: No such file or directory; correct bus.dbc"),
         ("[signals]\nspeed = 'A.B'\n", [], "c.toml: signals.speed: the DBC has no message 'A'"),
@@ -210,6 +211,17 @@ def test_status_says_when_no_daemon_runs(cli: Callable[..., Outcome], settings: 
     status, out, _ = cli("status", "--config", settings, "--json")
     assert status == 1
     assert json.loads(out)["running"] is False
+
+
+def test_status_without_a_configuration_says_that_the_daemon_may_have_one(
+    cli: Callable[..., Outcome], settings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "elsewhere"))
+    monkeypatch.setattr(folders, "SYSTEM_RUNTIME", tmp_path / "nowhere")
+    _, _, err = cli("status")
+    assert "; give --config FILE.toml if the daemon has service.runtime_directory" in err
+    _, _, err = cli("status", "--config", settings)
+    assert "give --config" not in err
 
 
 class Running:

@@ -218,6 +218,12 @@ def test_a_full_queue_drops_the_newest_and_counts_them() -> None:
         ({"interface": "socketcan", "channel": "a-name-that-is-too-long"}, "cannot be the name"),
         ({"interface": "socketcan", "channel": "lo"}, "not a CAN interface"),
         ({"interface": "virtual", "channel": "x", "port": "a"}, "Port"),
+        (
+            {"interface": "socketcand", "channel": "can0"},
+            "needs host and port; give --bus-kwargs host=... port=..., or",
+        ),
+        ({"interface": "udp_multicast", "channel": "can0"}, "'can0' is no multicast address"),
+        ({"interface": "udp_multicast", "channel": "10.0.0.1"}, "'10.0.0.1' is no multicast address"),
     ],
 )
 def test_a_bus_that_can_never_be_opened_is_refused(options: dict[str, object], fragment: str) -> None:

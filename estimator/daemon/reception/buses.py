@@ -2,6 +2,8 @@
 
 import argparse
 import errno
+import ipaddress
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,6 +26,7 @@ PERMANENT_ERRORS = {  # errors of opening a socket that do not pass by waiting, 
 INTERFACES = Path("/sys/class/net")
 ARPHRD_CAN = 280  # type of a CAN network device (linux/if_arp.h)
 B = TypeVar("B", bound=BusOptions)
+MISSING = re.compile(r"missing \d+ required .*arguments?: (.*)")  # a TypeError of Python about a call
 MAX_NAME_CHARACTERS = 15  # characters of a network device's name (IFNAMSIZ - 1)
 
 
@@ -55,7 +58,7 @@ class BusSpec:
         Raises
         ------
         ConfigError
-            No interface is named, or none that python-can knows, or a device name that cannot exist.
+            No interface is named, or none that python-can knows, or a device or group that cannot exist.
         """
         try:
             found: dict[str, Any] = dict(can.util.load_config(config=dict(self.options), context=self.context))
@@ -64,10 +67,11 @@ class BusSpec:
             raise ConfigError(f"bus: {reason}; give -i INTERFACE and -c CHANNEL, or write them in can.conf") from error
         if found["channel"] is None:
             raise ConfigError(f"bus: no channel of {found['interface']}; give -c CHANNEL, or write it in can.conf")
-        if found["interface"] == "socketcan":
-            name = str(found["channel"])
-            if not 0 < len(name) <= MAX_NAME_CHARACTERS or "/" in name or any(c.isspace() for c in name) or name in ".":
-                raise ConfigError(f"bus: {name!r} cannot be the name of an interface; give one such as can0")
+        name = str(found["channel"])
+        if found["interface"] == "socketcan" and not _is_device_name(name):
+            raise ConfigError(f"bus: {name!r} cannot be the name of an interface; give one such as can0")
+        if found["interface"] == "udp_multicast" and not _is_group(name):
+            raise ConfigError(f"bus: {name!r} is no multicast address, as udp_multicast needs; give -c 239.0.0.77")
         return found
 
     @property
@@ -75,6 +79,20 @@ class BusSpec:
         """Name of the bus in messages: interface and channel."""
         found = self.resolved()
         return f"{found['interface']} {found['channel']}"
+
+
+def _is_device_name(name: str) -> bool:
+    return (
+        0 < len(name) <= MAX_NAME_CHARACTERS and "/" not in name and name not in "." and not any(map(str.isspace, name))
+    )
+
+
+def _is_group(name: str) -> bool:
+    """Whether python-can can join it: it takes addresses only, no names of hosts."""
+    try:
+        return ipaddress.ip_address(name).is_multicast
+    except ValueError:
+        return False
 
 
 def spec_of(namespace: argparse.Namespace, table: BusOptions, prefix: str = "") -> BusSpec:
@@ -117,7 +135,17 @@ def open_bus(spec: BusSpec, filters: list[CanFilter] | None) -> can.BusABC:
     except can.CanError as error:
         raise NotThereError(str(error)) from error
     except (ImportError, NotImplementedError, AttributeError, TypeError, ValueError) as error:
-        raise ConfigError(f"{spec.label}: {error}") from error
+        raise ConfigError(f"{spec.label}: {_of_constructor(str(error))}") from error
+
+
+def _of_constructor(complaint: str) -> str:
+    """What to do where Python complains of arguments that an interface lacks; other complaints are returned as is."""
+    missing = MISSING.search(complaint)
+    if missing is None:
+        return complaint
+    names = re.findall(r"'(\w+)'", missing[1])
+    given = " ".join(f"{name}=..." for name in names)
+    return f"the interface needs {' and '.join(names)}; give --bus-kwargs {given}, or write them in can.conf"
 
 
 def _check_type(name: str) -> None:
