@@ -37,8 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser)
     add_settings(parser)
     parser.add_argument(
-        "log", nargs="?", type=Path, metavar="LOG", help="a log; without one, the bus is read if one is named"
+        "log",
+        nargs="?",
+        type=Path,
+        metavar="LOG",
+        help="a log; without one, the bus is read if options, configuration or can.conf name one",
     )
+    parser.add_argument("--no-bus", action="store_true", help="read none: check configuration and databases alone")
     add_map(parser)
     can.cli.add_bus_arguments(parser, group_title="bus")
     parser.add_argument("--seconds", type=SECONDS, default=10.0, help="how long to read the bus (default: 10)")
@@ -57,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     complain_of_databases(settings)
     spec = spec_of(options, settings.reception)
-    if options.log is None and not spec.is_named:
+    if options.log is None and (options.no_bus or not spec.is_named):
         bound = {signal.role for message in messages for signal in message.signals}
         reason = unbound(settings, bound)
         binding = of_binding(settings, messages, load_database(settings.bus.dbc).remarks, reason)

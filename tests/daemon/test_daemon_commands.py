@@ -182,6 +182,19 @@ def test_check_tells_whether_a_log_can_feed_the_model(cli: Callable[..., Outcome
     assert "cannot be fed" in out
 
 
+def test_the_configuration_of_a_daemon_can_be_checked_without_its_bus(
+    cli: Callable[..., Outcome], settings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> can.BusABC:
+        raise ConfigError("a bus was opened")
+
+    monkeypatch.setattr("estimator.commands.check.open_bus", refuse)
+    assert "a bus was opened" in cli("check", "--config", settings)[2]
+    status, out, err = cli("check", "--config", settings, "--no-bus")
+    assert (status, err) == (0, "")
+    assert "CCVS1.WheelBasedVehicleSpeed" in out
+
+
 @pytest.mark.slow
 def test_check_hears_a_bus(cli: Callable[..., Outcome], tmp_path: Path) -> None:
     status, out, _ = cli("check", "-i", "virtual", "-c", tmp_path, "--seconds", "1", "--json")
