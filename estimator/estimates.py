@@ -150,6 +150,7 @@ class Estimate:
     air_density: float | None = None  # [kg/m^3] that C holds for; None where no signal shows it
     doubt: str = ""  # why a unit may be wrong although the estimate stands
     parts_contradict: bool = False  # two parts of the drive contradict each other, which is the reason
+    remedy: str | None = None  # what to do about the reason; empty where that says it, None where nothing sure is known
 
     @property
     def marginals(self) -> dict[str, Marginal | None]:

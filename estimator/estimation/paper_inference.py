@@ -8,6 +8,7 @@ Vehicles", NREL.
 """
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -100,8 +101,10 @@ class PaperInference:
             return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held)
 
         lower, upper = posterior.box(self._config.prior)
-        if reason := self._gate.missing_rows(held, rejected) or wrong_sign_of(driven.power, driven.a):
+        if reason := self._gate.missing_rows(held, rejected):
             return withheld(reason)
+        if reason := wrong_sign_of(driven.power, driven.a):
+            return replace(withheld(reason), remedy="")
         if reason := wrong_unit_of(driven.power / driven.speed, driven.a, float(lower[2])):
             return withheld(reason, status=Status.INVALID)
         X, P = design(pulling.speed, pulling.a, pulling.relative_density), pulling.power

@@ -47,7 +47,7 @@ from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
 from estimator.estimation.usual_vehicles import Doubt, Size, unusual
 from estimator.estimation.window import Window
 from estimator.model.effect_term import EffectTerm
-from estimator.model.effects import obstacle
+from estimator.model.effects import obstacle, way_past_obstacle
 from estimator.model.road_nodes import SIGNALS
 from estimator.model.road_scales import POWER, TORQUE
 from estimator.preparation.stage import moving_effects
@@ -199,12 +199,12 @@ class RoadInference:
         if reason := scale.verdict():
             return withheld(reason, status=Status.INVALID)
         if reason := obstacle(self._effects, context):
-            return withheld(reason)
+            return replace(withheld(reason), remedy=way_past_obstacle(self._effects, context))
         if reason := self._gate.missing_rows(held, rejected):
             return withheld(reason)
         driven = strides[strides.known]
         if reason := wrong_sign_of(driven.power, driven.a):
-            return withheld(reason + self._other_sign())
+            return replace(withheld(reason + self._other_sign()), remedy="")
         if reason := wrong_unit_of(driven.power / driven.speed, driven.a, self._config.prior.mass_kg[0]):
             return withheld(reason, status=Status.INVALID)
         found = self._fit(strides, held, is_last)

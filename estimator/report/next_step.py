@@ -12,10 +12,12 @@ DIAGNOSE = (
 
 
 def next_step(run: Run) -> str:
-    """The advice in one line; empty where there is an estimate."""
+    """The advice in one line; empty where there is an estimate, or where the reason for none says it."""
     final, pipeline = run.final, run.pipeline
     if final.status == Status.ESTIMATED:
         return ""
+    if final.remedy is not None:
+        return final.remedy
     if final.status == Status.INVALID:
         return f"check with `roadload inspect` what the reason names; where that is right, {DIAGNOSE}"
     if final.parts_contradict:

@@ -101,6 +101,7 @@ def test_an_effect_without_its_signal_is_a_reason_not_a_guess(bends, name, needs
     answer = ask("estimate", bends, "--config", config(bends.parent), "--effect", name)
     assert answer["status"] == "unestimated"
     assert answer["reason"] == f"the effect {name} needs {needs}, which the bus does not carry"
+    assert answer["advice"] == f"leave the effect {name} out, or bind {needs} and give a log that has it"
     mass = answer["parameters"]["mass_kg"]
     assert (mass["status"], mass["reason"], mass["mean"]) == ("unestimated", answer["reason"], None)
 

@@ -163,6 +163,7 @@ def test_an_estimate_with_the_other_sign_names_the_key(tmp_path: Path, cli: Cli,
     other = "negative" if given == "positive" else "positive"
     _, out, _ = cli("estimate", drive, "--config", file)
     assert f'if the battery current has the other sign, write [vehicle] discharge_current = "{other}"' in out
+    assert "to do" not in out
 
 
 # The power at rest

@@ -18,6 +18,7 @@ def run(
     admitted: int,
     coverage: Coverage,
     parts_contradict: bool = False,
+    remedy: str | None = None,
 ) -> Run:
     pipeline = Pipeline(from_dict({}))
     update = Estimate(
@@ -27,6 +28,7 @@ def run(
         coverage=coverage,
         admitted=admitted,
         parts_contradict=parts_contradict,
+        remedy=remedy,
     )
     return Run(pipeline=pipeline, updates=[update], skipped=Counter(), mixed_channels=Counter())
 
@@ -41,6 +43,8 @@ def run(
         (run(Status.UNESTIMATED, 5000, WIDE), "`roadload diagnose` with the same logs"),
         (run(Status.UNESTIMATED, 5000, WIDE, parts_contradict=True), "give the logs of each load alone"),
         (run(Status.INVALID, 5000, WIDE), "`roadload diagnose` with the same logs"),
+        (run(Status.UNESTIMATED, 5000, UNKNOWN, remedy="leave it out"), "leave it out"),
+        (run(Status.UNESTIMATED, 5000, UNKNOWN, remedy=""), ""),
     ],
 )
 def test_the_advice_fits(case: Run, advice: str) -> None:

@@ -225,7 +225,19 @@ class Effect:
 
 def obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
     """Reason why an effect cannot be in the streaming model with the quantities ``known``; empty if all can."""
-    for effect in effects:
-        if not effect.streaming_shapes(known):
-            return f"the effect {effect.name} needs {effect.wanted(known)}, which the bus does not carry"
-    return ""
+    effect = _not_shown(effects, known)
+    return (
+        "" if effect is None else f"the effect {effect.name} needs {effect.wanted(known)}, which the bus does not carry"
+    )
+
+
+def way_past_obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
+    """What to do about an `obstacle`; empty where there is none."""
+    effect = _not_shown(effects, known)
+    if effect is None:
+        return ""
+    return f"leave the effect {effect.name} out, or bind {effect.wanted(known)} and give a log that has it"
+
+
+def _not_shown(effects: Sequence[Effect], known: Set[Quantity]) -> Effect | None:
+    return next((effect for effect in effects if not effect.streaming_shapes(known)), None)
