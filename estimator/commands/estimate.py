@@ -39,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_map(parser)
     add_seed(parser, "sampler")
     parser.add_argument("--draws", type=Path, metavar="OUT.csv|.json|.nc", help="draws of the posterior")
-    parser.add_argument("--plot", type=Path, metavar="OUT.html|.png|.svg|.pdf", help="the answer, and what it rests on")
+    use = "the answer, and what it rests on; --report as in diagnose and fleet"
+    parser.add_argument("--plot", "--report", type=Path, metavar="OUT.html|.png|.svg|.pdf", help=use)
     add_effects(parser)
 
 

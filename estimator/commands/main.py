@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     is_debugged = "--debug" in arguments
     try:
-        options = _parser(arguments).parse_args(arguments)
+        options = _parsed(arguments)
         # python-can logs frames that it cannot parse; the log readers raise or count them.
         logging.getLogger("can").setLevel(logging.CRITICAL)
         with _terminated_as_interrupted():
@@ -101,17 +101,28 @@ class Parser(argparse.ArgumentParser):
         complain(f"error: {message}; see {self.prog} --help")
         raise SystemExit(2)
 
+    def refuse(self, unknown: list[str]) -> NoReturn:
+        """Print which arguments are ``unknown``, and what the first may stand for; exit status 2."""
+        option = unknown[0].partition("=")[0]
+        guess = did_you_mean(option, self._option_string_actions, beyond="--") if option.startswith("--") else ""
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{guess}")
 
-def _parser(arguments: list[str]) -> argparse.ArgumentParser:
-    """Parser of ``arguments``; only the module of the subcommand among them is imported."""
+
+def _parsed(arguments: list[str]) -> argparse.Namespace:
+    """The options of ``arguments``; only the module of the subcommand among them is imported."""
     parser = Parser(prog="roadload", description="Vehicle mass, rolling resistance and drag from CAN.")
     parser.add_argument("--version", action="version", version=f"roadload {__version__}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    chosen = next((word for word in arguments if not word.startswith("-")), None)
-    for name, use in COMMANDS.items():
-        command = subparsers.add_parser(name, help=use)
-        if name == chosen:
+    name = next((word for word in arguments if not word.startswith("-")), None)
+    chosen = parser
+    for each, use in COMMANDS.items():
+        command = subparsers.add_parser(each, help=use)
+        if each == name:
+            chosen = command
             module = import_lean(f"estimator.commands.{name}", without=["asammdf"], lazy=["numpy.f2py"])
             module.add_arguments(command)
             command.set_defaults(run=module.run)
-    return parser
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        chosen.refuse(unknown)
+    return options

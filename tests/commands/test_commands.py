@@ -445,3 +445,30 @@ def test_outputs_that_are_closed_or_narrow_are_no_error(log: Path) -> None:
         env=os.environ | {"PYTHONIOENCODING": "ascii"},
     )
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (
+            ("diagnose", "x.blf", "--plot", "x.html"),
+            "--plot x.html; did you mean --report?; see roadload diagnose --help",
+        ),
+        (("inspect", "x.blf", "--sed=1"), "--sed=1; see roadload inspect --help"),
+        (("estimate", "x.blf", "--sed=1"), "--sed=1; did you mean --seed?; see roadload estimate --help"),
+        (("fleet", "x.blf", "--output", "out", "--plot"), "--plot; did you mean --report?; see roadload fleet --help"),
+        (("estimate", "x.blf", "-q"), "-q; see roadload estimate --help"),
+        (("status", "now"), "now; see roadload status --help"),
+    ],
+)
+def test_an_unknown_option_leads_to_the_help_of_its_command(
+    arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(list(arguments))
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err == f"error: unrecognized arguments: {complaint}\n"
+
+
+def test_the_page_of_an_estimate_is_called_as_that_of_a_diagnosis_too(cli: Cli, log: Path, tmp_path: Path) -> None:
+    fails(cli("estimate", log, "--report", tmp_path / "page.doc"), "page.doc", ".html")

@@ -155,7 +155,7 @@ def test_commands_on_a_bus_or_a_fleet_are_understood(
     calls = [words for page in PAGES.values() for words in readme.commands(page)]
     assert {words[0] for words in calls} >= {*ON_A_BUS, *ON_FILES, *WRITING, "fleet", "watch"}
     for words in calls:
-        assert program._parser(words).parse_args(words).command == words[0]
+        assert program._parsed(words).command == words[0]
     service = next(line for line in PAGES["docs/gateway.md"].splitlines() if line.endswith("# all settings in force"))
     words = shlex.split(service, comments=True)[1:]
     at = words.index("/etc/roadload/roadload.toml")

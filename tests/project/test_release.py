@@ -17,7 +17,7 @@ from packaging.metadata import Metadata
 from project_paths import ROOT
 
 from estimator import __version__
-from estimator.commands.main import _parser
+from estimator.commands.main import _parsed
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SOURCES = ("estimator", "dbc", "changes", "pyproject.toml", "MANIFEST.in", "constraints.txt")
@@ -167,7 +167,7 @@ def test_forms_and_workflows_are_whole(path: Path) -> None:
         assert set(matrix["python"]) == versions
         assert {system.partition("-")[0] for system in matrix["os"]} == {"ubuntu", "macos", "windows"}
         for line in re.findall(r"run: roadload (.*)", path.read_text(encoding="utf-8")):
-            assert _parser(line.split()).parse_args(line.split()).command == line.split()[0]
+            assert _parsed(line.split()).command == line.split()[0]
     elif path.name != "config.yml":
         assert found.keys() == {"name", "description", "labels", "body"}
         identities = [element["id"] for element in found["body"]]
