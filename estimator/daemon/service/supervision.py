@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from estimator.blas_threads import one_blas_thread
+from estimator.config import Config
 from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.service import folder_lock, folders
 from estimator.daemon.service.assembly import Plan, assemble, rehearse
@@ -68,13 +69,27 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
             return
         if daemon.worker.is_running:
             raise RoadloadError("the estimator did not finish before the new configuration could be used; start again")
-        # The same vehicle and settings: the pipeline is kept, to the last frame, and so is its time. With another gate,
-        # and where an estimator failed, which leaves what may be broken, the saved state is restored instead.
-        is_same, is_same_gate = following.key == plan.key, following.config.gate == plan.config.gate
+        # The same vehicle and settings: the pipeline is kept, to the last frame, and so is its time. What an estimator
+        # that failed leaves may be broken: its state is restored.
+        is_same = following.key == plan.key
         clocks = daemon.clocks if is_same else None
-        is_kept = is_same and is_same_gate and daemon.worker.failure is None
-        pipeline = daemon.worker.pipeline if is_kept else None
+        is_kept = is_same and daemon.worker.failure is None
+        pipeline = _under(following.config, daemon.worker.pipeline) if is_kept else None
         plan = following
+
+
+def _under(settings: Config, pipeline: Pipeline) -> Pipeline | None:
+    """The pipeline under ``settings`` of the same key, which may have another gate; None: restore the saved state.
+
+    A pipeline that waits for its first frames has nothing that the saved state lacks, and lacks when that was saved.
+    """
+    if settings.gate == pipeline.config.gate:
+        return pipeline
+    if pipeline.traffic.is_restored:
+        return None
+    other = Pipeline(settings, is_live=True)
+    other.restore(pipeline.state())
+    return other
 
 
 def _serve(
