@@ -51,7 +51,12 @@ class Finding(Struct, frozen=True, kw_only=True):
 
     ``probability`` that it acts; of one that is named, that it or one that is ``equivalent`` to it does. ``span_s``
     holds times from and to, since the first row of a log, and ``span_log`` its place in ``logs``, from 0; without spans
-    it acts always. ``rms_after_kW``: residual with this effect and those that are named before it.
+    it acts always.
+
+    ``rms_before_kW``: residual of the model as configured, without any of the effects that are found, on power that a
+    named lag is taken out of. So it is one number for all but this lag. ``rms_after_kW``: residual with this effect and
+    those named before it, so the step by one effect begins at that of the one before; of a road that no signal shows,
+    if the road alone were known. Candidates that are not named are in no model: theirs is ``rms_before_kW``.
     """
 
     name: str
@@ -92,7 +97,12 @@ class Remaining(Struct, frozen=True, kw_only=True):
 
 
 class Part(Struct, frozen=True, kw_only=True):
-    """Share of one cause in the residual, with its 90 % interval; of a ``given`` cause, share of its error."""
+    """Share of one cause in the residual, with its 90 % interval; of a ``given`` cause, share of its error.
+
+    ``rms_kW``: root mean square of its power. The next two are of this cause alone beside the given ones, unlike the
+    residuals of `Finding`. ``reached_kW``: residual with it in the model, on stretches left out of the fit.
+    ``expected_kW``: residual to be expected if it were known exactly and no effect acted that was not found.
+    """
 
     cause: str
     share: float | None

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.answers.diagnosis import Verdict
-from estimator.components.budget import ROAD, UNKNOWN, WHITE, Part
+from estimator.components.budget import ROAD, SDS_OF_90_PERCENT, UNKNOWN, WHITE, Part, Residuals
 from estimator.components.drive_state import DriveState
 from estimator.components.processes import SWITCHES
 from estimator.components.search_result import ChosenEffect, RankedEffect
 from estimator.diagnosis.decision import Decision
 from estimator.diagnosis.facts import MIN_RIVAL
+from estimator.diagnosis.lag import STRETCHES
 from estimator.diagnosis.result import (
     HIDDEN_GRADE,
     SHOWN_SLOPE,
@@ -92,16 +93,44 @@ def _road_finding(decision: Decision) -> Finding:
     shown = (base**2 - reached**2) / max(base**2 - hidden.rms_after**2, 1e-9)
     if shown < SHOWN_IN_PART:
         return hidden
+    closed = None if part is None else of_shown_road(part.closed, shown, decision.budget.residuals)
     how = "shown by" if shown > SHOWN else "shown in part by"
     signals = ", ".join(readings) + _not_showing(decision)
     return replace(
         hidden,
         magnitude=replace(hidden.magnitude, name=SHOWN_SLOPE),
-        gap_closed=None if part is None else GapClosed(*(min(shown, 1.0) * share for share in part.closed)),
+        gap_closed=closed,
         rms_after=reached,
         shift=decision.shift,
         detail=f"varies with place; {how} {signals}",
     )
+
+
+def of_shown_road(closed: tuple[float, float, float], shown: float, drives: Sequence[Residuals]) -> GapClosed:
+    """Share of the gap that a road closes as far as signals show it, with its 90 % interval.
+
+    Parameters
+    ----------
+    closed
+        Share of the whole road, with its interval.
+    shown
+        Reduction of the squared residual by the signals, over that by a known road. It is of these stretches: on others
+        the signals would show more or less, so the interval counts the scatter of this ratio over STRETCHES as well.
+    drives
+        Residuals of each drive, of which the ratio is.
+    """
+    before, by_signals, known = (
+        np.concatenate(each) ** 2
+        for each in zip(*((d.given, d.given - d.causes.get(ROAD, 0.0), d.road_known) for d in drives), strict=True)
+    )
+    excess = (before - by_signals) - shown * (before - known)
+    means = np.array([stretch.mean() for stretch in np.array_split(excess, STRETCHES)])
+    whole = max(float(np.mean(before - known)), 1e-9)
+    doubt = SDS_OF_90_PERCENT * float(means.std(ddof=1)) / np.sqrt(STRETCHES) / whole
+    shown = min(shown, 1.0)
+    mean, low, high = (shown * share for share in closed)
+    below, above = np.hypot([mean - low, high - mean], doubt).tolist()
+    return GapClosed(mean, max(mean - below, 0.0), min(mean + above, 1.0))
 
 
 def _hidden_road_finding(decision: Decision) -> Finding:
@@ -220,8 +249,8 @@ def _unknown_finding(decision: Decision) -> Finding:
         equivalent=(),
         magnitude=Magnitude("rms", rms, float("nan"), "W"),
         gap_closed=None,
-        rms_before=budget.held_out_rms,
-        rms_after=budget.held_out_rms,
+        rms_before=budget.base,
+        rms_after=budget.base,
         shift=None,
         span=tuple(spans) if parts else (),
         detail=", ".join(_with_size(decision, name) for name in names),

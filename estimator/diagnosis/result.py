@@ -64,7 +64,7 @@ class Finding:
     equivalent: tuple[str, ...]  # effects that these drives cannot separate from it
     magnitude: Magnitude
     gap_closed: GapClosed | None  # None for candidates, and without a part in the budget
-    rms_before: float  # [W], plain model with the given effects
+    rms_before: float  # [W], plain model with the given effects; of all but the lag, on aligned power
     rms_after: float  # [W], with this effect and those named before, on held-out stretches; rms_before if not computed
     shift: Shift | None  # from the model of `base` to the one with all chosen effects; None for candidates
     span: tuple[Span, ...] = ()  # when it acts; empty: always

@@ -346,6 +346,9 @@ def test_hills_by_altitude(hills):
     assert abs(answer["parameters"]["base"]["mass_kg"] - TRUCK.mass) > 0.05 * TRUCK.mass
     moved = answer["parameters"]["final"]["mass_kg"] - answer["parameters"]["base"]["mass_kg"]
     assert effect["parameter_shift"]["mass_kg"] == pytest.approx(moved, rel=0.2)
+    closed = effect["gap_closed"]
+    assert closed["q05"] < closed["fraction"] < closed["q95"]
+    assert {candidate["rms_before_kW"] for candidate in answer["candidates"]} == {answer["rms_base_kW"]}
 
 
 def test_the_loop_closes(hills):

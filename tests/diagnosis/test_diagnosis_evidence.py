@@ -8,9 +8,10 @@ from diagnoses import finding
 from driven_on_level_road import THETA, driven
 from scipy.stats import false_discovery_control
 
+from estimator.components.budget import ROAD, Residuals
 from estimator.components.plain_model import PlainModel
 from estimator.diagnosis import localisation
-from estimator.diagnosis.findings import of_aligned_power
+from estimator.diagnosis.findings import of_aligned_power, of_shown_road
 from estimator.diagnosis.residual_formula import best_residual_formula
 from estimator.diagnosis.result import GapClosed, Traces
 from estimator.diagnosis.surrogates import phase_randomised
@@ -100,6 +101,31 @@ def test_a_lag_and_the_effects_beside_it_share_the_gap_by_what_they_take(others:
     assert last.gap_closed.q05 == pytest.approx(0.9 * by_lag)
     assert [f.gap_closed.fraction for f in beside] == pytest.approx([0.2 * share for share in others])
     assert sum(f.gap_closed.fraction for f in (*beside, last)) == pytest.approx(1.0)
+
+
+def test_the_interval_of_a_road_that_signals_show_holds_what_they_show_of_longer_drives() -> None:
+    """The road is white; the signals err by a third of it, which leaves a ninth of its square."""
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(200):
+        road, noise = rng.normal(size=(2, 600))
+        error = np.repeat(rng.normal(size=20), 30) / 3
+        r = road + 0.1 * noise
+        left = r - (road - error)
+        shown = float((np.mean(r**2) - np.mean(left**2)) / (np.mean(r**2) - np.mean((r - road) ** 2)))
+        residuals = Residuals(plain=r, given=r, held_out=left, road_known=r - road, causes={ROAD: road - error})
+        found.append(of_shown_road((1.0, 1.0, 1.0), shown, [residuals]))
+        assert found[-1].fraction == pytest.approx(shown)
+    assert all(closed.q05 < closed.fraction < closed.q95 <= 1.0 for closed in found)
+    assert np.mean([closed.q05 <= 1 - 1 / 9 <= closed.q95 for closed in found]) == pytest.approx(0.88, abs=0.05)
+
+
+def test_a_road_that_signals_show_whole_closes_no_more_than_all() -> None:
+    road = np.random.default_rng(1).normal(size=100)
+    residuals = Residuals(plain=road, given=road, held_out=0 * road, road_known=0 * road, causes={ROAD: road})
+    closed = of_shown_road((0.9, 0.8, 1.0), 1.01, [residuals])
+    assert (closed.fraction, closed.q95) == (0.9, 1.0)
+    assert closed.q05 == pytest.approx(0.8, abs=0.01)
 
 
 # Places

@@ -105,7 +105,6 @@ def rich() -> Diagnosis:
         equivalent=("resistance_segment",),
         magnitude=Magnitude("power", 23.4, 1.1, "kW"),
         gap_closed=GapClosed(0.276, 0.241, 0.302),
-        rms_before=7_600.0,
         rms_after=3_600.0,
         shift=Shift(35.0, -60.0, 0.02),
         span=tuple(Span(700.0 * i + 420, 700.0 * i + 520) for i in range(6)),
