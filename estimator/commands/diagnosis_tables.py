@@ -87,7 +87,7 @@ def _ranking(d: Diagnosis) -> Table:
 
 
 def _budget(budget: Budget) -> Table:
-    table = _table("residual", "share", "of its own", "left once added", "left if known", right=(2, 3, 4))
+    table = _table("residual", "share", "of its own", "left once added alone", "left if known alone", right=(2, 3, 4))
     for part in budget.parts:
         share = wording.interval(GapClosed(part.share, part.q05, part.q95))
         powers = [wording.kilowatts(power) for power in (part.rms, part.held_out_rms, part.expected)]

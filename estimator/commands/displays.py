@@ -9,6 +9,7 @@ from rich.live import Live
 from estimator.answers.watch import WatchAnswer
 from estimator.commands.terminal import say
 from estimator.report import parameter_text
+from estimator.report.number_format import clock
 from estimator.watch.page import WatchPage
 from estimator.watch.screen import Screen
 
@@ -34,7 +35,7 @@ class Lines:
         if conclusion is not None and conclusion.t_s is not None and conclusion.t_s != self._concluded:
             self._concluded = conclusion.t_s
             text = parameter_text.line(conclusion.status, conclusion.reason, conclusion.parameters, conclusion.coverage)
-            say(self._console, f"{parameter_text.clock(conclusion.t_s)} estimate: {text}")
+            say(self._console, f"{clock(conclusion.t_s)} estimate: {text}")
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from estimator.commands.complaints import complain
-from estimator.report.parameter_text import clock
+from estimator.report.number_format import clock
 from estimator.streaming.replay import Interrupted, Run
 
 EXIT_STATUS = 130  # 128 and the number of SIGINT, as shells have it

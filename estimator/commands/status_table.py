@@ -10,7 +10,8 @@ from estimator.commands.terminal import say
 from estimator.estimates import Status
 from estimator.printable import printable
 from estimator.report import wanted_driving
-from estimator.report.parameter_text import ROWS, cells, clock, references, road
+from estimator.report.number_format import clock
+from estimator.report.parameter_text import ROWS, cells, references, road
 
 COLOURS = {
     State.WAITING: "yellow",

@@ -46,7 +46,7 @@ def _verdict(d: Diagnosis) -> str:
     elif beyond := wording.beyond_estimate(d):
         line += f'<p class="note">{html.escape(beyond[:1].upper() + beyond[1:])}.</p>'
     return (
-        f'<header class="{d.verdict.value.replace(" ", "-")}"><p class="logs">Sim-to-real gap <span>{logs}</span></p>'
+        f'<header class="{d.verdict.value.replace(" ", "-")}"><p class="logs">Diagnosis <span>{logs}</span></p>'
         f'<p class="verdict">{d.verdict.value}</p><h1>{html.escape(wording.headline(d))}</h1>'
         f'<p class="reason">{html.escape(wording.reason(d))}</p>{line}</header>'
     )
@@ -59,7 +59,7 @@ def _sections(d: Diagnosis) -> list[Section]:
         Section("power", "Power, measured and modelled", _power(d)),
         Section("where", "Where does it lie?", _where(d)),
         Section("which", "Which effect?", _which(d)),
-        Section("apart", "Which effects have one course?", _apart(d)),
+        Section("apart", "Which effects cannot be told apart here?", _apart(d)),
         Section("unseen", "What this log cannot say", _unseen(d)),
         Section("left", "What is left?", _left(d)),
         Section("terms", "Terms", _terms(wording.THRESHOLDS) if d.rms_base is not None else ""),
@@ -71,9 +71,10 @@ def _budget(d: Diagnosis) -> str:
         return ""
     meaning = (
         '<p class="soft">Shares of the mean square of the model&#x27;s residual over means of 2 s, whose root is '
-        f"{wording.kilowatts(d.budget.base)}, with 90 % intervals. Left once added: on held-out stretches, "
-        "with the signals there are. Left if it were known: as a signal of its own would show it, without effects "
-        "that were not found. The gap is "
+        f"{wording.kilowatts(d.budget.base)}, with 90 % intervals. Both residuals at the right are of one cause alone; "
+        "below, effects are added one to the other. Left once added: on held-out stretches, with the signals there "
+        "are. Left if it were known: to be expected with a signal of its own, without effects that were not found. "
+        "Causes may cancel each other in part; then more is left without one of them. The gap is "
         f"everything except the noise of the sensors.{_aligned(d)}</p>"
     )
     return figures.budget(d.budget) + tables.budget(d.budget) + meaning
@@ -203,9 +204,9 @@ def terms(limits: Thresholds) -> dict[str, str]:
         ),
         "q value": "share of false places to be expected among those listed down to this one",
         "isolability": (
-            "how alike the traces of two effects are on this log, in per cent: from "
-            f"{100 * limits.min_class_correlation:.0f} on they have one course; effects of different courses can "
-            "explain a log equally well, and are then listed as not told apart"
+            "how alike the powers of two effects run on this log, in per cent: from "
+            f"{100 * limits.min_class_correlation:.0f} on they cannot be told apart; others, too, may explain a log "
+            "equally well, and are then listed as not told apart"
         ),
         "visible?": (
             "log Bayes factor expected of the effect at its usual size; below "

@@ -10,18 +10,16 @@ from estimator.estimates import Status
 from estimator.report import parameter_text, summary, wanted_driving
 from estimator.report.effect_sizes import effect_size
 from estimator.report.estimate_view import Curve, EstimateView, PowerTrace
-from estimator.report.number_format import MINUS, signed
+from estimator.report.number_format import MINUS, clock, signed
 from estimator.report.page.document import Section, document, write_document
-from estimator.report.page.plot import Axis, ClockAxis, axis, band, bar, cell, dots, line, plot
+from estimator.report.page.plot import Axis, axis, band, bar, cell, clock_axis, dots, line, plot
 from estimator.report.page.series import BLOCKS, binned
 from estimator.report.page.tables import table
 from estimator.report.parameter_text import ROWS, Row
 from estimator.report.wanted_driving import BEGUN, OCCUPIED, WANTED
 from estimator.report.wording import label
-from estimator.signals import Floats
 from estimator.units import KMH
 
-CLOCK = "time since the first frame [h:mm]"
 ACROSS = 5  # ticks of one of three plots side by side
 NBSP = "\N{NO-BREAK SPACE}"
 CHAINS = 4  # that are drawn
@@ -67,7 +65,7 @@ def page(view: EstimateView) -> str:
 
 def _header(view: EstimateView) -> str:
     final = view.final
-    duration = parameter_text.clock(final.t - view.start)
+    duration = clock(final.t - view.start)
     facts = [html.escape(fact) for fact in (view.title, view.date, f"{duration} of traffic") if fact]
     is_known = final.status is Status.ESTIMATED
     lines = [f'<p class="reason">{html.escape(_words(view))}</p>'] if is_known else []
@@ -133,7 +131,7 @@ def _formed(view: EstimateView, row: Row) -> str:
     known = np.isfinite(curve.mean)
     if not known.any():
         return ""
-    x, y = _clock(np.array([0.0, 1.02 * curve.t[-1]])), axis(curve.range, row.unit, margin=0.06)
+    x, y = clock_axis(np.array([0.0, 1.02 * curve.t[-1]])), axis(curve.range, row.unit, margin=0.06)
     answer = curve.answer
     shapes = band(x, y, curve.t, curve.low, curve.high, "band after") + line(x, y, curve.t, curve.mean, "line after")
     shapes += dots(x, y, curve.t[answer], curve.mean[answer], "answer")
@@ -143,10 +141,7 @@ def _formed(view: EstimateView, row: Row) -> str:
 
 def _ends(curve: Curve, row: Row) -> str:
     known = np.flatnonzero(np.isfinite(curve.mean))[[0, -1]].tolist()
-    told = (
-        f"{row.interval(float(curve.low[i]), float(curve.high[i]))} at {parameter_text.clock(float(curve.t[i]))}"
-        for i in known
-    )
+    told = (f"{row.interval(float(curve.low[i]), float(curve.high[i]))} at {clock(float(curve.t[i]))}" for i in known)
     return f"interval {', '.join(told)}"
 
 
@@ -184,11 +179,11 @@ def _coverage(view: EstimateView) -> str:
 def _power(view: EstimateView, power: PowerTrace) -> str:
     """Power and residual in the minutes that the fit misses most, and the residual of all."""
     part, rms = power.telling, view.final.rms
-    x = _clock(part.t)
+    x = clock_axis(part.t)
     curves = {"measured": part.measured, "after": part.fitted}
     y = axis(np.concatenate(list(curves.values())).tolist(), "power [kW]", zero=True, margin=0.04)
     shapes = "".join(line(x, y, part.t, values, f"line {kind}") for kind, values in curves.items())
-    span = " to ".join(parameter_text.clock(float(end)) for end in (np.nanmin(part.t), np.nanmax(part.t)))
+    span = " to ".join(clock(float(end)) for end in (np.nanmin(part.t), np.nanmax(part.t)))
     key = '<p class="key"><span class="measured">measured</span><span class="after">fitted</span></p>'
     stated = "" if rms is None else f", root mean square {rms / 1e3:.1f} kW over {int(np.isfinite(power.t).sum()):,} s"
     return (
@@ -196,7 +191,7 @@ def _power(view: EstimateView, power: PowerTrace) -> str:
         + plot(shapes, x, y, f"Power from {span}: measured, fitted", kind="trace")
         + _residual(part, x, "", 0)
         + f"<h3>Residual of the whole fit{stated}</h3>"
-        + _residual(power, _clock(power.t), "whole", BLOCKS)
+        + _residual(power, clock_axis(power.t), "whole", BLOCKS)
     )
 
 
@@ -248,11 +243,6 @@ def _chains(view: EstimateView) -> str:
 
 def _not_drawn(view: EstimateView) -> list[str]:
     return [f"{row.name} is unestimated, so its draws are not shown." for row in ROWS if row not in view.rows]
-
-
-def _clock(t: Floats) -> ClockAxis:
-    span = axis(t.tolist(), CLOCK)
-    return ClockAxis(span.low, span.high, CLOCK)
 
 
 def _soft(*sentences: str) -> str:

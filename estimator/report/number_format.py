@@ -66,6 +66,14 @@ def counted(count: int, what: str) -> str:
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
+def clock(seconds: float) -> str:
+    """``1:02:05``, hours, minutes and seconds."""
+    if not math.isfinite(seconds):
+        return NOTHING
+    whole = max(round(seconds), 0)
+    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
+
+
 def signed(text: str) -> str:
     """A true minus sign, none before a number that is all zeros."""
     if text.startswith("-"):

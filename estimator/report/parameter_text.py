@@ -7,6 +7,7 @@ from estimator import estimates
 from estimator.answers.reference import Reference, References
 from estimator.answers.run import CoastDown, Coefficients, Coverage, Parameter, Parameters, Road
 from estimator.estimates import Status, not_showing
+from estimator.report.number_format import clock
 
 OLD = 10.0  # s, from which the age of a reading is told
 MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
@@ -155,9 +156,3 @@ def references(found: References) -> Iterator[str]:
 
 def _heard(found: Reference) -> str:
     return f", heard {clock(found.age_s)} ago" if found.age_s > OLD else ""
-
-
-def clock(seconds: float) -> str:
-    """``1:02:05``, hours, minutes and seconds."""
-    whole = max(round(seconds), 0)
-    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"

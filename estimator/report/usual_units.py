@@ -1,6 +1,6 @@
 """Values of signals in the units in which people read them: km/h, degrees, degrees Celsius."""
 
-from estimator.report.number_format import exponent, rounded
+from estimator.report.number_format import clock, exponent, rounded
 from estimator.roles import DIMENSION, STATE, Role
 from estimator.units import KMH, conversion_of
 
@@ -24,7 +24,12 @@ PER_SECOND = ("°/s", "deg/s")  # of turning vehicles, unlike shafts
 
 
 def ends(start: float, end: float, unit: str) -> tuple[str, str]:
-    """``66.2 km/h`` and ``74.0 km/h`` for 18.4 and 20.56 m/s: to two digits of their difference; other units stay."""
+    """``66.2 km/h`` and ``74.0 km/h`` for 18.4 and 20.56 m/s: to two digits of their difference; other units stay.
+
+    Times are shown on a clock: ``0:35:01`` for 2,101 s.
+    """
+    if unit == "s":
+        return clock(start), clock(end)
     factor, shown = SHOWN.get(unit, (1.0, f" {unit}"))
     low, high = factor * start, factor * end
     decimals = 0 if low.is_integer() and high.is_integer() else max(1 - exponent(high - low), 0)

@@ -19,7 +19,7 @@ from estimator.diagnosis.result import (
 )
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.report import number_format
-from estimator.report.number_format import NOTHING, exponent, signed
+from estimator.report.number_format import NOTHING, clock, exponent, signed
 
 MAX_SPANS = 3  # spans that are listed
 SMALL_GAP = 0.1  # of the squared residual: below, the headline says how small it is
@@ -349,14 +349,14 @@ def parameter(value: float, step: float, sign: str = "") -> str:
 
 
 def times(spans: tuple[Span, ...], several: bool = False) -> str:
-    """``12:30 to 14:05 min``, at most three of them, of ``several`` logs with their number; empty for always."""
+    """``0:12:30 to 0:14:05``, at most three of them, of ``several`` logs with their number; empty for always."""
     if not spans:
         return ""
     parts = []
     for i, (start, end, log) in enumerate(spans[:MAX_SPANS]):
         named = several and (i == 0 or log != spans[i - 1].log)
-        parts.append(f"{f'log {log + 1} ' if named else ''}{_clock(start)} to {_clock(end)}")
-    return f"{', '.join(parts)} min" + (f" and {len(spans) - MAX_SPANS} more" if len(spans) > MAX_SPANS else "")
+        parts.append(f"{f'log {log + 1} ' if named else ''}{clock(start)} to {clock(end)}")
+    return ", ".join(parts) + (f" and {len(spans) - MAX_SPANS} more" if len(spans) > MAX_SPANS else "")
 
 
 def action(finding: Finding, several: bool = False) -> str:
@@ -392,10 +392,3 @@ def _value(magnitude: Magnitude) -> str:
 
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-def _clock(seconds: float) -> str:
-    if not math.isfinite(seconds):
-        return NOTHING
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"

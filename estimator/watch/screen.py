@@ -13,7 +13,8 @@ from estimator.answers.status import Progress
 from estimator.answers.watch import WatchAnswer
 from estimator.estimates import Status
 from estimator.printable import printable
-from estimator.report.parameter_text import ROWS, Row, beside, clock
+from estimator.report.number_format import clock
+from estimator.report.parameter_text import ROWS, Row, beside
 from estimator.watch import coverage_map
 from estimator.watch.coverage_map import ASCII, BLOCKS, Glyphs
 

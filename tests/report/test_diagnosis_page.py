@@ -117,11 +117,11 @@ def test_parameters_say_which_of_several_drives_they_are_of() -> None:
     said = of_diagnosis(d).parameters
     assert (said.log, said.span_s) == (0, (0.0, 4_500.0))
     assert (
-        page(d).count("Of the drive with most usable driving, log 1 0:00 to 75:00 min.") == 3
+        page(d).count("Of the drive with most usable driving, log 1 0:00:00 to 1:15:00.") == 3
     )  # parameters, courses, unseen
     console = Console(file=io.StringIO(), width=200)
     print_diagnosis(console, d)
-    assert "of the drive with most usable driving, log 1 0:00 to 75:00 min" in console.file.getvalue()
+    assert "of the drive with most usable driving, log 1 0:00:00 to 1:15:00" in console.file.getvalue()
     assert "usable driving" not in page(rich())
     assert of_diagnosis(rich()).parameters.log is None
 
@@ -146,7 +146,7 @@ def test_the_terms_say_the_rules_that_the_diagnosis_is_made_by() -> None:
     said = terms(Thresholds(min_probability=0.75, min_class_correlation=0.88, min_expected_log_bf=7.5))
     assert "named from 75 % on" in said["probability"]
     assert "named by its probability" in said["log Bayes factor"]
-    assert "from 88 on they have one course" in said["isolability"]
+    assert "from 88 on they cannot be told apart" in said["isolability"]
     assert "below 7.5 it would go unnoticed" in said["visible?"]
     shown = page(rich())
     for meaning in terms(Thresholds()).values():
@@ -419,7 +419,46 @@ def test_power_shows_the_minutes_that_say_most() -> None:
         log=0 * t,
     )
     d = dataclasses.replace(rich(), traces=traces, gap_map=None)
-    assert 'aria-label="Power from 39 to 44 min' in page(d) or 'aria-label="Power from 40 to 45 min' in page(d)
+    assert 'aria-label="Power from 0:38:59 to 0:43:59' in page(d)
+
+
+def test_all_times_of_a_page_are_of_one_clock() -> None:
+    said = page(rich())
+    assert "0:07:00 to 0:08:40, 0:18:40 to 0:20:20, 0:30:20 to 0:32:00 and 3 more" in said
+    assert re.findall(
+        r'<th scope="row">time</th><td data-label="from">(.*?)</td><td data-label="to">(.*?)</td>', said
+    ) == [("0:07:00", "0:08:40")]
+    assert "[min]" not in said
+    assert "time since the first frame [h:mm]" in said
+
+
+def test_effects_that_run_alike_are_said_to_be_inseparable() -> None:
+    apart = page(rich()).split('id="apart"')[1].split("</section>")[0]
+    assert "Which effects cannot be told apart here?" in apart
+    assert "Their powers run alike on this drive: viscous drag and auxiliary load." in apart
+    names = ("headwind", "grade")
+    two = changed(isolability=Isolability(names, np.eye(2), np.zeros(2)))
+    assert "No two effects have powers that run alike on this drive." in page(two)
+
+
+def test_the_residuals_of_the_budget_are_said_to_be_of_one_cause_alone() -> None:
+    """Beside them the steps of the ladder add the effects to each other."""
+    road = Part(
+        cause=ROAD,
+        is_given=False,
+        share=0.9,
+        q05=0.9,
+        q95=0.9,
+        rms=7e3,
+        held_out_rms=4e3,
+        expected=3e3,
+        closed=(1.0, 1.0, 1.0),
+    )
+    d = changed(budget=Budget(base=13.4e3, held_out_rms=4e3, parts=(road,)))
+    assert "Both residuals at the right are of one cause alone; below, effects are added one to the other." in page(d)
+    assert '<th scope="col">left once added alone</th>' in page(d)
+    assert "left once added alone" in printed(d)
+    assert "left if known alone" in printed(d)
 
 
 def test_a_break_between_two_logs_is_cut_out() -> None:
@@ -428,16 +467,16 @@ def test_a_break_between_two_logs_is_cut_out() -> None:
     columns = {field.name: np.tile(getattr(d.traces, field.name), 2) for field in dataclasses.fields(Traces)}
     twice = Traces(**columns | {"t": t})
     document = page(dataclasses.replace(d, traces=twice))
-    assert "driving time [min], long breaks left out" in document
+    assert "driving time [h:mm], long breaks left out" in document
     assert "driving time" not in page(d)
 
 
 def test_several_logs_are_drawn_one_after_the_other() -> None:
     d = several()
     document = page(d)
-    assert "driving time [min], log after log" in document
+    assert "driving time [h:mm], log after log" in document
     assert "log 1: monday.blf, log 2: tuesday.blf" in document
-    assert "log 1 7:00 to 8:40, log 2 7:07 to 8:47, 18:47 to 20:27 min" in document
+    assert "log 1 0:07:00 to 0:08:40, log 2 0:07:07 to 0:08:47, 0:18:47 to 0:20:27" in document
     # The first log is 75 minutes long: each shaded time lies in its own, from left to right.
     strip = document.split('class="plot strip"')[1]
     left = [float(x) for x in re.findall(r'class="span" x="([0-9.]+)"', strip)]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from estimator.components.budget import NOISE, Budget
 from estimator.diagnosis.result import Diagnosis, GapMap, Span, Traces
 from estimator.report import wording
-from estimator.report.number_format import MINUS, number
-from estimator.report.page.plot import Axis, axis, band, bar, cell, line, plot
+from estimator.report.number_format import MINUS, clock
+from estimator.report.page.plot import CLOCK, Axis, axis, band, bar, cell, clock_axis, line, plot
 from estimator.report.page.series import BLOCKS, binned, telling_minutes
 from estimator.signals import Floats
 from estimator.units import KMH
@@ -80,15 +80,16 @@ def _covered(edges: Floats, seen: NDArray[np.intp], label: str) -> Axis:
 
 def in_time(traces: Traces, d: Diagnosis, better: Improved | None) -> str:
     """Residual over the drive, before and after, with the times in which effects act."""
-    clock = _clock(traces)
+    running = _running(traces)
     acting = [span for effect in d.effects for span in effect.span]
-    spans = np.array([_placed(span, traces, clock) for span in acting]).reshape(-1, 2)
-    cut = clock[-1] < (traces.t[-1] - traces.t[0]) - 1
-    label = "driving time [min], long breaks left out" if cut else "time since the first frame [min]"
+    spans = np.array([_placed(span, traces, running) for span in acting]).reshape(-1, 2)
+    cut = running[-1] < (traces.t[-1] - traces.t[0]) - 1
+    label = "driving time [h:mm], long breaks left out" if cut else CLOCK
     if _has_several_logs(traces):
-        label = "driving time [min], log after log"
+        label = "driving time [h:mm], log after log"
+    x = clock_axis(running, label)
     note = '<p class="soft">Shaded: when an effect acts.</p>' if len(spans) else ""
-    return note + _residuals(clock / 60, traces, d, better, label, spans / 60) + _speed(clock / 60, traces, label)
+    return note + _residuals(running, traces, d, better, x, spans) + _speed(running, traces, x)
 
 
 def along_the_road(traces: Traces, d: Diagnosis, better: Improved | None) -> str:
@@ -96,14 +97,15 @@ def along_the_road(traces: Traces, d: Diagnosis, better: Improved | None) -> str
     # Each drive counts from zero: they are laid end to end.
     steps = np.maximum(np.diff(traces.distance, prepend=traces.distance[:1]), 0.0)
     distance = float(traces.distance[0]) + np.cumsum(steps)
-    return _residuals(distance / 1e3, traces, d, better, "distance [km]", np.empty((0, 2)))
+    x = axis((distance / 1e3).tolist(), "distance [km]")
+    return _residuals(distance / 1e3, traces, d, better, x, np.empty((0, 2)))
 
 
 def _has_several_logs(traces: Traces) -> bool:
     return bool(traces.log[0] != traces.log[-1])
 
 
-def _clock(traces: Traces) -> Floats:
+def _running(traces: Traces) -> Floats:
     """Ascending time [s] (n,): long breaks, and those between two logs, become CUT_BREAK."""
     steps = np.diff(traces.t, prepend=traces.t[:1])
     steps[(steps > MAX_BREAK) | (steps < 0) | (np.diff(traces.log, prepend=traces.log[:1]) > 0)] = CUT_BREAK
@@ -111,21 +113,18 @@ def _clock(traces: Traces) -> Floats:
     return running
 
 
-def _placed(span: Span, traces: Traces, clock: Floats) -> Floats:
-    """Start and end [s] (2,) of a span on the running clock."""
+def _placed(span: Span, traces: Traces, running: Floats) -> Floats:
+    """Start and end [s] (2,) of a span on the ``running`` time of the figures."""
     own = traces.log == span.log
     order = np.argsort(traces.t[own])
-    placed: Floats = np.interp([span.start, span.end], traces.t[own][order], clock[own][order])
+    placed: Floats = np.interp([span.start, span.end], traces.t[own][order], running[own][order])
     return placed
 
 
-def _residuals(
-    position: Floats, traces: Traces, d: Diagnosis, better: Improved | None, label: str, spans: Floats
-) -> str:
+def _residuals(position: Floats, traces: Traces, d: Diagnosis, better: Improved | None, x: Axis, spans: Floats) -> str:
     residuals = [(wording.base_name(d), "before", (traces.measured - traces.base) / 1e3)]
     if better:
         residuals.append((better.name, "after", (traces.measured - better.power) / 1e3))
-    x = axis(position.tolist(), label)
     bins = [(name, kind, binned(x, position, r, BINS), binned(x, position, r, BLOCKS)) for name, kind, r in residuals]
     y = axis(
         np.nanpercentile(residuals[0][2], [0.5, 99.5]).tolist(), f"measured {MINUS} model [kW]", zero=True, margin=0.1
@@ -134,17 +133,17 @@ def _residuals(
     panels = []
     for name, kind, (at, low, high, _), (centre, _, _, mean) in bins:
         shapes = marks + band(x, y, at, low, high, f"band {kind}") + line(x, y, centre, mean, f"line {kind}")
-        words = f"Residual, {name}, over {label}: block means from {np.nanmin(mean):.1f} to {np.nanmax(mean):.1f} kW"
+        words = f"Residual, {name}, over {x.label}: block means from {np.nanmin(mean):.1f} to {np.nanmax(mean):.1f} kW"
         panels.append(plot(shapes, x, y, words, name, "strip"))
     return "".join(panels)
 
 
-def _speed(position: Floats, traces: Traces, label: str) -> str:
+def _speed(position: Floats, traces: Traces, x: Axis) -> str:
     """Speed over the same axis as the residuals."""
     speed = KMH * traces.speed
-    x, y = axis(position.tolist(), label), axis(speed.tolist(), "km/h", zero=True, margin=0.1)
+    y = axis(speed.tolist(), "km/h", zero=True, margin=0.1)
     centre, _, _, mean = binned(x, position, speed, BLOCKS)
-    words = f"Speed over {label}: block means up to {np.nanmax(mean):.0f} km/h"
+    words = f"Speed over {x.label}: block means up to {np.nanmax(mean):.0f} km/h"
     return plot(line(x, y, centre, mean, "line measured"), x, y, words, "speed", "strip")
 
 
@@ -152,19 +151,19 @@ def power(traces: Traces, base: str, better: Improved | None) -> str:
     """Measured power and that of the models in the five most informative minutes, from that of ``base`` on."""
     squared = (traces.measured - traces.base) ** 2
     worth = np.nan_to_num(squared - (traces.measured - better.power) ** 2 if better else squared)
-    clock = _clock(traces)
-    window = telling_minutes(clock, worth, clock[np.searchsorted(traces.log, traces.log, side="right") - 1])
+    running = _running(traces)
+    window = telling_minutes(running, worth, running[np.searchsorted(traces.log, traces.log, side="right") - 1])
     t = traces.t[window]
-    late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(clock))  # no line across a stop
+    late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(running))  # no line across a stop
     log = f" of log {traces.log[window.start] + 1:.0f}" if _has_several_logs(traces) else ""
-    x = axis((t / 60).tolist(), f"time since the first frame{log} [min]")
+    x = clock_axis(t, f"time since the first frame{log} [h:mm]")
     curves = [("measured", traces.measured), ("before", traces.base)] + ([("after", better.power)] if better else [])
     values = {kind: np.where(late, np.nan, curve[window] / 1e3) for kind, curve in curves}
     y = axis(np.concatenate(list(values.values())).tolist(), "power [kW]", zero=True, margin=0.04)
-    shapes = "".join(line(x, y, t / 60, v, f"line {kind}") for kind, v in values.items())
+    shapes = "".join(line(x, y, t, v, f"line {kind}") for kind, v in values.items())
     names = {"measured": "measured", "before": base, "after": better.name if better else ""}
     key = "".join(f'<span class="{kind}">{names[kind]}</span>' for kind in values)
-    words = f"Power from {number(x.low)} to {number(x.high)} min: " + ", ".join(names[k] for k in values)
+    words = f"Power from {clock(x.low)} to {clock(x.high)}: " + ", ".join(names[k] for k in values)
     return f'<p class="key">{key}</p>' + plot(shapes, x, y, words, kind="trace")
 
 

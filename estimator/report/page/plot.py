@@ -16,6 +16,7 @@ from estimator.report.number_format import MINUS
 from estimator.signals import Floats, Mask
 from estimator.units import HOUR
 
+CLOCK = "time since the first frame [h:mm]"
 SIDE = 1000  # units of the drawing, each way
 DAY = 86_400.0  # s
 DAYS_OF_YEAR = 366.0
@@ -98,6 +99,12 @@ def axis(values: Iterable[float], label: str, *, zero: bool = False, margin: flo
         low, high = low - 0.5, high + 0.5
     room = margin * (high - low)
     return Axis(low - room, high + room, label)
+
+
+def clock_axis(times: Floats, label: str = CLOCK) -> ClockAxis:
+    """An axis over ``times`` (n,) [s]."""
+    span = axis(times.tolist(), label)
+    return ClockAxis(span.low, span.high, label)
 
 
 def line(x: Axis, y: Axis, xs: Floats, ys: Floats, kind: str) -> str:

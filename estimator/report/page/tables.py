@@ -85,7 +85,7 @@ def of_the_longest(d: Diagnosis) -> str:
 
 def budget(whole: Budget) -> str:
     """Every part of the residual: share, size, and what would be left."""
-    headings = ("cause", "share of the residual", "of its own", "left once added", "left if it were known")
+    headings = ("cause", "share of the residual", "of its own", "left once added alone", "left if it alone were known")
     rows = [
         (
             html.escape(wording.cause(part)),
@@ -157,7 +157,8 @@ def isolability(of: Isolability) -> str:
         for j in range(i)
         if abs(of.correlation[i, j]) >= wording.THRESHOLDS.min_class_correlation
     ]
-    words = f"Have one course here: {'; '.join(pairs)}." if pairs else "No two effects have one course on this log."
+    alike = f"Their powers run alike on this drive: {'; '.join(pairs)}."
+    words = alike if pairs else "No two effects have powers that run alike on this drive."
     return f"<p>{html.escape(words)}</p><details><summary>Correlations of all effects</summary>{matrix}</details>"
 
 
