@@ -110,11 +110,12 @@ def unusual(size: Size, motion: Motion | None, signal: str, masses: Range) -> Do
     ]
     if motion.gearing is not None:
         sizes.append(f"{motion.gearing:.2g} rad/m of the engine")
-    guess = f"{signal} may read {best:.3g} times too large" if gain > 0 else f"{signal} or the power is wrong"
+    wrong = f"{best:.3g} times too large" if best > 1 else f"{1 / best:.3g} times too small"
+    guess = f"{signal} may read {wrong}" if gain > 0 else f"{signal} or the power is wrong"
     advice = remedy(best) if gain > 0 else "check their units"
     is_certain = is_beyond_all or np.log(CHANCE) + gain >= MIN_LOG_ODDS
     seldom = "no vehicle has" if is_certain else "few vehicles have"
-    return Doubt(f"{seldom} all of {', '.join(sizes)}: {guess}: {advice}", bool(is_certain))
+    return Doubt(f"{seldom} these values together: {', '.join(sizes)}; {guess}: {advice}", bool(is_certain))
 
 
 def _log_density(size: Size, motion: Motion, f: float) -> float:

@@ -146,6 +146,8 @@ def test_a_truck_in_the_wrong_unit_goes_together_with_nothing(factor):
     reason = doubt.sentence
     assert "VEHICLE.Speed" in reason
     assert f"{1 / factor:.3g} would fit" in reason
+    wrong = f"{factor:.3g} times too large" if factor > 1 else f"{1 / factor:.3g} times too small"
+    assert f"speed (VEHICLE.Speed) may read {wrong}: check its unit" in reason
 
 
 @pytest.mark.parametrize(
@@ -170,7 +172,7 @@ def test_a_car_with_one_gear_in_the_wrong_unit_is_a_doubt():
     """Sizes of a BMW i3 whose km/h are read as mph."""
     doubt = sized(1.609, mass=1600.0, A=160.0, C=0.3, gearing=27.4, fastest=22.0, is_single=True)
     assert not doubt.is_certain
-    assert doubt.sentence.startswith("few vehicles have all of 618 kg")
+    assert doubt.sentence.startswith("few vehicles have these values together: 618 kg, ")
     assert "speed (VEHICLE.Speed) may read 1.61 times too large" in doubt.sentence
 
 
