@@ -1,14 +1,16 @@
-"""Warnings of a wider or incomplete estimate: torque that is not bound, wheels that contradict the others."""
+"""Warnings of a wider or biased estimate: torque that is not bound, power of a battery, wheels that contradict."""
 
 from collections.abc import Mapping
 
 from estimator.can_io.binding import load_database
 from estimator.config import Config
 from estimator.model.effects import unbound
+from estimator.roles import is_electric
 from estimator.signals import Role
 from estimator.streaming.wheels import DIFFERS, STANDS_STILL, UNDECIDED
 
 SPNS = {Role.FRICTION_FRACTION: 514, Role.TORQUE_FRACTION_FINE: 4154}  # J1939-71
+CONSUMERS = frozenset({"auxiliary_load", "cabin_heater"})  # effects that are fed by the battery
 WHEELS = (STANDS_STILL, DIFFERS, UNDECIDED)
 
 
@@ -20,7 +22,11 @@ def warnings_of(config: Config, errors: Mapping[str, int]) -> tuple[str, ...]:
     DatabaseError
         A database cannot be read.
     """
-    return (*_unbound(config), *(f"{what}, in {rows:,} rows" for what, rows in errors.items() if what.endswith(WHEELS)))
+    return (
+        *_unbound(config),
+        *_of_the_battery(config),
+        *(f"{what}, in {rows:,} rows" for what, rows in errors.items() if what.endswith(WHEELS)),
+    )
 
 
 def _unbound(config: Config) -> tuple[str, ...]:
@@ -55,3 +61,14 @@ def _advice_on_a_bus(config: Config) -> dict[Role, str]:
 def _advice_on_a_table() -> dict[Role, str]:
     """Advice on each part of the torque, with the option that names a column."""
     return {role: f'if the table has a column of it, add --map {role}="COLUMN [%]"' for role in SPNS}
+
+
+def _of_the_battery(config: Config) -> tuple[str, ...]:
+    """Advice where the power of a battery is taken for that at the wheels: neither losses nor consumers are given."""
+    is_given = config.vehicle.driveline_efficiency < 1 or CONSUMERS & set(config.effects)
+    if is_given or not is_electric(config.binding.keys()):
+        return ()
+    return (
+        "the power is that of the battery: losses up to the wheels and consumers such as lights make mass and A too "
+        'large; write [vehicle] driveline_efficiency = 0.9, or what is known of it, and effects = ["auxiliary_load"]',
+    )

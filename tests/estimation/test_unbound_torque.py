@@ -40,6 +40,24 @@ def test_wheels_that_were_left_out_are_told_with_their_rows():
     assert warnings_of(Config(), errors) == ("wheel_speeds 3: differs from the others, in 11,954 rows",)
 
 
+ELECTRIC = {"speed": "CAR.V", "battery_voltage": "CAR.U", "battery_current": "CAR.I"}
+
+
+def test_power_of_a_battery_is_told_to_hold_losses_and_consumers():
+    (warning,) = warnings_of(from_dict({"signals": ELECTRIC}), {})
+    assert "driveline_efficiency = 0.9" in warning
+    assert 'effects = ["auxiliary_load"]' in warning
+    for given in ({"effects": ["auxiliary_load"]}, {"vehicle": {"driveline_efficiency": 0.9}}):
+        assert warnings_of(from_dict({"signals": ELECTRIC} | given), {}) == ()
+
+
+def test_a_table_with_voltage_and_current_is_told_so_too():
+    columns = {"speed": "speed [km/h]", "battery_voltage": "U [V]", "battery_current": "I [A]"}
+    (warning,) = warnings_of(from_dict({"table": {"columns": columns}}), {})
+    assert warning.startswith("the power is that of the battery")
+    assert warnings_of(from_dict({"table": {"columns": columns | {"power": "P [kW]"}}}), {}) == ()
+
+
 def test_a_database_without_the_signal_is_told_what_to_look_for(tmp_path):
     (tmp_path / "own.dbc").write_text(
         'VERSION ""\nBU_: X\nBO_ 256 M: 8 X\n SG_ V : 0|16@1+ (0.1,0) [0|0] "km/h" X\n'
