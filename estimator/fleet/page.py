@@ -107,8 +107,7 @@ def _header(of: Tables) -> str:
     estimated = sum(row["status"] == "estimated" for row in of.drives)
     with_drag = sum("C_N_s2_m2_mean" in row for row in of.vehicles)
     words = f"{_extent(of)}. " if named else ""
-    vehicles = counted(len(of.vehicles), "vehicle")
-    words += f"The mass of {estimated:,} loads is known, and C of {with_drag:,} of {vehicles}. "
+    words += f"The mass is known of {counted(estimated, 'load')}, C of {_of_all(with_drag, len(of.vehicles))}. "
     others = Counter(row["status"] for row in of.drives if row["status"] != "estimated")
     words += "; ".join(f"{count:,} {status}" for status, count in others.most_common()) + ("." if others else "")
     kind = "unknown-effect" if named else "no-gap"
@@ -117,6 +116,13 @@ def _header(of: Tables) -> str:
         f'<p class="verdict">{pill}</p><h1>{html.escape(_headline(of))}</h1>'
         f'<p class="reason">{html.escape(words)}</p></header>'
     )
+
+
+def _of_all(count: int, vehicles: int) -> str:
+    """``5 of 6 vehicles``; ``6 vehicles`` and ``no vehicle`` for all and none."""
+    if count == 0:
+        return "no vehicle"
+    return f"{count:,} of {counted(vehicles, 'vehicle')}" if count < vehicles else counted(count, "vehicle")
 
 
 def _days(rows: Sequence[Row]) -> str:

@@ -14,7 +14,7 @@ from estimator.config import Config
 from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE
 from estimator.fleet.drive_result import FoundEffect
 from estimator.fleet.engine import Serial
-from estimator.fleet.page import _changes, _in_per_cent
+from estimator.fleet.page import _changes, _in_per_cent, _of_all
 from estimator.fleet.rows import effect_rows
 from estimator.fleet.run import conclude
 from estimator.fleet.seasons import SEASONS, season_of
@@ -95,6 +95,16 @@ def test_the_page_says_what_the_tables_do(year: Case) -> None:
     assert f"effect {effects}" in document
     assert f">{effects:,}</td>" in document
     assert all(season in document for season in SEASONS)
+
+
+def test_the_vehicles_whose_drag_is_known_are_counted_of_all() -> None:
+    assert [_of_all(*counts) for counts in ((1, 1), (6, 6), (5, 6), (0, 6))] == [
+        "1 vehicle",
+        "6 vehicles",
+        "5 of 6 vehicles",
+        "no vehicle",
+    ]
+    assert "The mass is known of 1 load, C of 1 vehicle." in page_of(made(1, 1, 4).fleet)
 
 
 def test_a_grade_has_one_size_whether_signals_show_it_or_not() -> None:
