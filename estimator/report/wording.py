@@ -180,7 +180,9 @@ def beyond_estimate(d: Diagnosis) -> str:
     timed = [label(f.name) for f in d.effects if f.span]
     if not timed:
         return ""
-    return f"roadload estimate cannot have {listed(timed)} without that signal: take mass, A and C from here"
+    acts, it = ("acts", "it") if len(timed) == 1 else ("act", "them")
+    when = f"no signal shows when {listed(timed)} {acts}"
+    return f"{when}, so roadload estimate cannot have {it}: take mass, A and C from here"
 
 
 def gap_closed(d: Diagnosis) -> float | None:

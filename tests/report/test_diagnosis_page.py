@@ -556,8 +556,8 @@ def test_terminal_says_all_in_a_screenful() -> None:
 def test_an_estimate_that_cannot_have_what_was_found_is_not_advised() -> None:
     d = dataclasses.replace(rich(), streaming_effects=(), deviation=Shift(210.0, 42.0, 0.12))
     d = dataclasses.replace(d, effects=tuple(dataclasses.replace(f, span=(Span(60.0, 120.0),)) for f in d.effects))
-    said = "cannot have headwind and auxiliary cycling without that signal: take mass, A and C from here"
-    assert said in " ".join(printed(d).split())
+    said = "o signal shows when headwind and auxiliary cycling act, so roadload estimate cannot have them: take mass, A"
+    assert said in " ".join(printed(d, 400).split())
     assert said in page(d)
     assert "add to the configuration" not in printed(d).lower() + page(d).lower()
     final, sd = d.final, d.deviation
