@@ -24,7 +24,7 @@ from estimator.diagnosis.result import (
 )
 from estimator.estimates import not_showing
 from estimator.estimation.form_doubt import EFFECT_DOUBT
-from estimator.model.effects import Effect
+from estimator.model.effects import BY_NAME, Effect
 from estimator.model.spans import Spans
 from estimator.signals import Floats, Quantity
 
@@ -182,7 +182,7 @@ def _effect_finding(decision: Decision, chosen: ChosenEffect, before: Sequence[s
         name=chosen.name,
         probability=probability,
         log_bayes_factor=chosen.log_bayes_factor,
-        equivalent=tuple(sorted(rivals | set(effect.equivalent))),
+        equivalent=tuple(sorted(rivals | set(effect.equivalent) | _alike_unseen(decision, effect))),
         magnitude=_magnitude(effect, value, sd),
         gap_closed=_closed(part),
         rms_before=budget.base,
@@ -191,6 +191,12 @@ def _effect_finding(decision: Decision, chosen: ChosenEffect, before: Sequence[s
         span=tuple(spans),
         detail=_detail(effect_term.shape, effect),
     )
+
+
+def _alike_unseen(decision: Decision, effect: Effect) -> set[str]:
+    """Names of effects of nearly the same power that the signals of the drives do not show."""
+    known = frozenset[Quantity]().union(*(case.drive.known_quantities for case in decision.cases))
+    return {name for name in effect.alike_unseen if not BY_NAME[name].usable_shapes(known)}
 
 
 def _rivals(decision: Decision, chosen: ChosenEffect) -> tuple[set[str], float]:
@@ -231,7 +237,7 @@ def _equivalent(decision: Decision, ranked: RankedEffect, ranking: Sequence[Rank
     others = [other for other in ranking if other is not ranked and other.gain > limits.min_log_bf_alike]
     others = [other for other in others if other.best[0] == drive_number]
     near = [o.name for o in others if _correlation(o.best[1].trace, fitted.trace) > limits.min_class_correlation]
-    return {*near, *ranked.effect.equivalent}
+    return {*near, *ranked.effect.equivalent, *_alike_unseen(decision, ranked.effect)}
 
 
 def _unknown_finding(decision: Decision) -> Finding:

@@ -1,4 +1,4 @@
-"""The diagnosis decides by the thresholds that it is given."""
+"""The diagnosis decides by the thresholds that it is given, and says what it cannot tell apart."""
 
 from types import SimpleNamespace
 
@@ -8,11 +8,12 @@ from simulated_logs import drive, written
 
 from estimator.answers.diagnosis import Verdict
 from estimator.config import Config
-from estimator.diagnosis import decision
+from estimator.diagnosis import decision, findings
 from estimator.diagnosis.decision import Decision
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import BY_NAME
+from estimator.signals import Quantity
 from estimator.simulation.effects.effect import Effect
 from estimator.streaming.drive_extraction import drives_of
 
@@ -41,3 +42,20 @@ def test_processes_that_only_add_to_effects_do_not_speak_against_them(monkeypatc
     )
     decided = Decision(result=result, budget=None, cases=(), start=(), thresholds=Thresholds())
     assert decided.nameless_explains_more is is_more
+
+
+@pytest.mark.parametrize(("known", "alike"), [((), {"headwind"}), ((Quantity.HEADING,), set())])
+def test_a_wind_from_ahead_is_not_told_from_viscous_drag_without_the_heading(known, alike):
+    drive = SimpleNamespace(known_quantities=frozenset(known))
+    decision = SimpleNamespace(cases=[SimpleNamespace(drive=drive)])
+    assert findings._alike_unseen(decision, BY_NAME["viscous_drag"]) == alike
+    assert findings._alike_unseen(decision, BY_NAME["auxiliary_load"]) == set()
+
+
+def test_a_wind_from_ahead_all_the_time_has_the_power_of_viscous_drag_and_no_more():
+    """To the plain columns A v and C v^3, a part that they take up left out."""
+    v, w = np.linspace(5.0, 30.0, 200), 5.0
+    wind = ((v + w) ** 2 - v**2) * v
+    plain = np.column_stack([v, v**3])
+    rest, drag = (x - plain @ np.linalg.lstsq(plain, x, rcond=None)[0] for x in (wind, v**2))
+    assert np.corrcoef(rest, drag)[0, 1] == pytest.approx(1.0, abs=1e-9)

@@ -148,6 +148,8 @@ class Effect:
         True if A, C and m fit it completely, so that no drive gives evidence of it, whatever its size.
     equivalent
         Effects with the same power to first order on any drive.
+    alike_unseen
+        Effects with nearly the same power that cannot be tested where no signal shows them.
     magnitude_from_coefficient
         Magnitude from its coefficient, where the column uses the acceleration that the force would cause without the
         effect; None: they are equal.
@@ -181,6 +183,7 @@ class Effect:
     applied_with: tuple[Quantity, ...] = ()
     is_absorbed: bool = False
     equivalent: tuple[str, ...] = ()
+    alike_unseen: tuple[str, ...] = ()
     magnitude_from_coefficient: Callable[[float], float] | None = None
     inertia: Callable[[View], Floats] | None = None
     shown_by: str = ""

@@ -58,6 +58,7 @@ VISCOUS_DRAG = Effect(
     unit="N s/m",
     power=lambda view, shape: view.v**2,
     usual_magnitude=lambda road_load: 0.5 * float(road_load[0]) / 20.0,
+    alike_unseen=("headwind",),  # C ((v + w)^2 - v^2) v = 2 C w v^2 + C w^2 v, if it blows from ahead all the time
     shown_by="a coast-down over a wide range of speed, or A from a data sheet",
 )
 
