@@ -14,7 +14,7 @@ from estimator.components.time_prior import is_usual, observed_spans, prior_cost
 from estimator.estimation.shapes import is_free, near
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
-from estimator.model.spans import Spans, union, without
+from estimator.model.spans import Spans, cut, union, without
 from estimator.signals import Floats
 
 
@@ -154,10 +154,10 @@ class CandidateTerms:
     def _stretches(
         self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]
     ) -> Iterator[CandidateTerm]:
-        """Stretches of the road at fitted times; those chosen last also united with and reduced by these."""
+        """Stretches of the road at fitted times; those chosen last also united with, reduced by and cut at these."""
         present, changed = None if drive.stretches is None else drive.stretches.spans, set[Spans]()
         if present:
-            changed = {change(present, new) for new in self._latest[number][1] for change in (union, without)}
+            changed = {change(present, new) for new in self._latest[number][1] for change in (union, without, cut)}
         for spans in _different({*times, *changed}, [present] if present else [], frame.strides.t):
             for term in stretches(frame, spans):
                 yield CandidateTerm(term=term, key=spans, is_event=True)

@@ -1,5 +1,7 @@
 """Spans: sets of times in which an effect or a process acts, and operations on them."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from estimator.signals import Floats
@@ -38,6 +40,13 @@ def union(spans: Spans, other: Spans) -> Spans:
         else:
             joined.append((start, end))
     return tuple(joined)
+
+
+def cut(spans: Spans, other: Spans) -> Spans:
+    """Union of two sets of times, cut wherever a span of either begins or ends."""
+    edges = sorted({edge for span in (*spans, *other) for edge in span})
+    within = union(spans, other)
+    return tuple((a, b) for a, b in pairwise(edges) if any(start <= a and b <= end for start, end in within))
 
 
 def without(spans: Spans, other: Spans) -> Spans:

@@ -1,9 +1,12 @@
 """Steep stretches of a hidden road are the road's, and a load that switches is none of them."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_strides import made_strides, past_speeds
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
@@ -16,13 +19,16 @@ from estimator.components.term import Frame, Kind
 from estimator.components.time_prior import CHANGE_COST
 from estimator.estimation.road_evidence import log_bayes_factor_of_road
 from estimator.model.effects import BY_NAME
-from estimator.model.spans import covered
+from estimator.model.spans import covered, cut, union
 from estimator.signals import Quantity
 from estimator.units import STANDARD_GRAVITY
 
 M, A, C = 25e3, 1600.0, 3.5
 EFFECTS = [BY_NAME[name] for name in ("auxiliary_cycling", "brake_use", "resistance_segment", "auxiliary_load")]
 STEEP = ((300.0, 380.0, 0.030), (700.0, 770.0, 0.022), (1100.0, 1190.0, 0.036))  # s, s, sine
+spans = st.lists(st.integers(0, 60), min_size=2, max_size=8, unique=True).map(
+    lambda edges: tuple((float(a), float(b)) for a, b in zip(sorted(edges)[::2], sorted(edges)[1::2], strict=False))
+)
 
 
 def smooth(rng, n, width):
@@ -56,6 +62,14 @@ def state_of(strides):
 def steep():
     """What explains a road with three steep stretches."""
     return Search((state_of(driven(STEEP)),), EFFECTS).result()
+
+
+@given(spans, spans)
+def test_times_that_are_cut_are_those_of_either_and_end_wherever_one_ends(one, other):
+    pieces = cut(one, other)
+    assert union(pieces, ()) == union(one, other)
+    assert {edge for piece in pieces for edge in piece} == {edge for span in (*one, *other) for edge in span}
+    assert all(a[1] <= b[0] for a, b in pairwise(pieces))
 
 
 def test_a_stretch_is_gravity_along_a_slope_in_its_times_alone():

@@ -340,7 +340,7 @@ def test_lane_by_lane_the_same_ground_on_the_way_back():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("wind", ("'wind'", "headwind", "gain_walk")),
+        ("wind", ("'wind'", "did you mean headwind?")),
         ("headwind=strong", ("headwind=strong", "NAME=NUMBER")),
         ("grade=0.5", ("grade", "0.005 to 0.015")),
         ("time_lag=-0.1", ("time_lag", "-0.1")),

@@ -139,7 +139,7 @@ def open_bus(spec: BusSpec, filters: list[CanFilter] | None) -> can.BusABC:
 
 
 def _of_constructor(complaint: str) -> str:
-    """What to do where Python complains of arguments that an interface lacks; other complaints are returned as is."""
+    """Remedy where Python complains of arguments that an interface lacks; other complaints are returned as is."""
     missing = MISSING.search(complaint)
     if missing is None:
         return complaint

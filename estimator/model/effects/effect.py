@@ -235,7 +235,7 @@ def obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
 
 
 def way_past_obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
-    """What to do about an `obstacle`; empty where there is none."""
+    """Remedy for an `obstacle`; empty where there is none."""
     effect = _not_shown(effects, known)
     if effect is None:
         return ""
