@@ -149,7 +149,6 @@ class Estimate:
     c_rr: Marginal | None = None  # A / (m g) [1], by the mass that is estimated, rotating parts included
     air_density: float | None = None  # [kg/m^3] that C holds for; None where no signal shows it
     doubt: str = ""  # why a unit may be wrong although the estimate stands
-    parts_contradict: bool = False  # two parts of the drive contradict each other, which is the reason
     remedy: str | None = None  # what to do about the reason; empty where that says it, None where nothing sure is known
 
     @property

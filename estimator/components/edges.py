@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from estimator.components.exchange import MIN_GAIN
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import cost_of_leaving
 from estimator.estimation.savage_dickey import first_eliminated, log_bayes_factor, posterior_of
@@ -22,7 +23,6 @@ from estimator.strides import DURATION
 
 STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, by which an edge is moved
 MOVES = np.concatenate([-STEPS, STEPS])
-MIN_SWEEP_GAIN = 1e-3  # of log evidence, for another sweep over all edges
 TOGETHER = 100  # moves whose products are computed at once: bounds the memory with many edges
 
 
@@ -99,7 +99,7 @@ def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> lis
     """
     taken, paid = [-1] * len(leaving), 0.0
     best, previous = float(column.evidence()), -np.inf
-    while best > previous + MIN_SWEEP_GAIN:
+    while best > previous + MIN_GAIN:
         previous = best
         for k, cost in enumerate(leaving):
             columns = 1 + k * number + np.arange(number)

@@ -23,7 +23,7 @@ from estimator.components.time_prior import Costs
 from estimator.estimation.savage_dickey import first_eliminated, log_bayes_factor, posterior_of
 from estimator.signals import Floats, Mask
 
-MIN_GAIN = 1e-3  # of log evidence, for an exchange: above rounding, so that they end
+MIN_GAIN = 1e-3  # of log evidence, for a further change of times: above rounding, so that changes end
 
 
 @dataclass(frozen=True)

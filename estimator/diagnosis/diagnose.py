@@ -131,6 +131,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
         advice=facts.advice(result, effects, verdict, named),
         experiments=_experiments(decision, effects, verdict, named, ranking),
         streaming_effects=addable if verdict is Verdict.EFFECT else (),
+        beyond_streaming=facts.beyond_streaming(named) if verdict is Verdict.EFFECT else (),
         budget=decision.budget,
         gap_map=gap_map(traces, traces.road_known if is_hidden_named else traces.extended),
         traces=traces,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from estimator.answers.diagnosis import Verdict
 from estimator.components.search_result import SearchResult
 from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Finding
-from estimator.model.effects import BY_NAME, Effect
+from estimator.model.effects import BY_NAME, Effect, Timing
 
 MIN_RIVAL = 0.05  # probability above which an effect is a rival of the likeliest one
 
@@ -32,7 +32,7 @@ def advice(
     elif verdict is Verdict.EFFECT:
         unsure += [other for finding in named for other in finding.equivalent]
         unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
-        unsure += [finding.name for finding in named if _is_moving(finding) and not _is_streaming(finding)]
+        unsure += beyond_streaming(named)
     shown_by = {effect.name: effect.shown_by for effect in effects}
     return tuple(Advice(name, shown_by[name]) for name in dict.fromkeys(unsure) if name in shown_by)
 
@@ -55,22 +55,27 @@ def unsettled(
 def streaming_effects(named: Sequence[Finding], given: Sequence[Effect]) -> tuple[str, ...]:
     """Effects to configure for the streaming estimator: the ``given`` ones and the named ones.
 
-    Empty if it does not support all named ones, for a part of them alone may move A and C farther away. The road is
-    always in its model, so it is not listed.
+    Empty if some are `beyond_streaming`, for a part of them alone may move A and C farther away.
     """
-    added = [finding for finding in named if _is_moving(finding)]
-    if not added or not all(map(_is_streaming, added)):
+    added = [finding.name for finding in named if _is_to_add(finding)]
+    if not added or beyond_streaming(named):
         return ()
     moving = [effect.name for effect in given if not effect.is_gravity]
-    return tuple(dict.fromkeys((*moving, *(finding.name for finding in added))))
+    return tuple(dict.fromkeys((*moving, *added)))
 
 
-def _is_moving(finding: Finding) -> bool:
-    """True for an effect of the catalogue that is no slope."""
-    return finding.name in BY_NAME and not BY_NAME[finding.name].is_gravity
-
-
-def _is_streaming(finding: Finding) -> bool:
-    """True if the streaming estimator can have the effect: no times of it were fitted."""
+def beyond_streaming(named: Sequence[Finding]) -> tuple[str, ...]:
+    """Names of the effects that the streaming estimator cannot have, because no signal shows when they act."""
     sizes = {effect.symbol for effect in BY_NAME.values()}  # magnitudes that a configuration can hold
-    return BY_NAME[finding.name].is_streaming and finding.magnitude.name in sizes and not finding.span
+    return tuple(
+        finding.name
+        for finding in named
+        if _is_to_add(finding)
+        and not (BY_NAME[finding.name].is_streaming and finding.magnitude.name in sizes and not finding.span)
+    )
+
+
+def _is_to_add(finding: Finding) -> bool:
+    """True for an effect that the streaming model lacks: it has the road, the lag and changes of the load anyway."""
+    effect = BY_NAME.get(finding.name)
+    return effect is not None and not (effect.is_gravity or effect.is_absorbed or effect.timing is Timing.STEP)

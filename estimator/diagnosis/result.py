@@ -233,6 +233,7 @@ class Diagnosis:
     experiments: tuple[Experiment, ...] = ()
     p_value: float | None = None  # share of records of noise with as much evidence of an effect
     streaming_effects: tuple[str, ...] = ()  # effects to configure; empty: none to add
+    beyond_streaming: tuple[str, ...] = ()  # effects found that cannot be configured: no signal shows when they act
     budget: Budget | None = None  # of the residual of the plain model with the given effects
     gap_map: GapMap | None = None
     traces: Traces | None = None

@@ -37,6 +37,10 @@ BESIDE_SDS = (0.3, 0.3)  # prior sd of the simultaneous changes of A/m and C/m, 
 VAGUE_SD = 3.0
 MIN_PROBABILITY = 0.99  # of a change, from which parts of a drive contradict each other
 MIN_SHARE = 0.04  # smallest size of a contradiction, as a share of 1/m: a smaller change only widens the estimate
+EACH_LOAD = (  # remedy for a `GainChanges.contradiction`: a longer log has both loads
+    "give the logs of each load alone, if the load changed on the way; else `roadload diagnose` with the same logs "
+    "names a missing effect"
+)
 
 
 @dataclass(frozen=True, kw_only=True)

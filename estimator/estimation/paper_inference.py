@@ -8,7 +8,6 @@ Vehicles", NREL.
 """
 
 from collections import Counter
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -96,15 +95,18 @@ class PaperInference:
         held = int(pulling.rows.sum())
 
         def withheld(
-            reason: str, coverage: Coverage = NOTHING_COVERED, status: Status = Status.UNESTIMATED
+            reason: str,
+            coverage: Coverage = NOTHING_COVERED,
+            status: Status = Status.UNESTIMATED,
+            remedy: str | None = None,
         ) -> Estimate:
-            return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held)
+            return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held, remedy=remedy)
 
         lower, upper = posterior.box(self._config.prior)
         if reason := self._gate.missing_rows(held, rejected):
             return withheld(reason)
         if reason := wrong_sign_of(driven.power, driven.a):
-            return replace(withheld(reason), remedy="")
+            return withheld(reason, remedy="")
         if reason := wrong_unit_of(driven.power / driven.speed, driven.a, float(lower[2])):
             return withheld(reason, status=Status.INVALID)
         X, P = design(pulling.speed, pulling.a, pulling.relative_density), pulling.power

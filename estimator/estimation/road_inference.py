@@ -26,7 +26,7 @@ from estimator.estimation import posterior
 from estimator.estimation.belief import Belief
 from estimator.estimation.continued import Continued
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
-from estimator.estimation.gain_changes import gain_changes
+from estimator.estimation.gain_changes import EACH_LOAD, gain_changes
 from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_sign_of, wrong_unit_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
@@ -72,7 +72,9 @@ NOTHING_COVERED = Coverage(0, 0)
 class Withheld(Protocol):
     """Makes an estimate without values."""
 
-    def __call__(self, reason: str, coverage: Coverage = ..., status: Status = ...) -> Estimate:
+    def __call__(
+        self, reason: str, coverage: Coverage = ..., status: Status = ..., remedy: str | None = ...
+    ) -> Estimate:
         """The estimate with its reason."""
         ...
 
@@ -192,19 +194,22 @@ class RoadInference:
         strides, held = self._window.strides, len(self._window)
 
         def withheld(
-            reason: str, coverage: Coverage = NOTHING_COVERED, status: Status = Status.UNESTIMATED
+            reason: str,
+            coverage: Coverage = NOTHING_COVERED,
+            status: Status = Status.UNESTIMATED,
+            remedy: str | None = None,
         ) -> Estimate:
-            return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held)
+            return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held, remedy=remedy)
 
         if reason := scale.verdict():
             return withheld(reason, status=Status.INVALID)
         if reason := obstacle(self._effects, context):
-            return replace(withheld(reason), remedy=way_past_obstacle(self._effects, context))
+            return withheld(reason, remedy=way_past_obstacle(self._effects, context))
         if reason := self._gate.missing_rows(held, rejected):
             return withheld(reason)
         driven = strides[strides.known]
         if reason := wrong_sign_of(driven.power, driven.a):
-            return replace(withheld(reason + self._other_sign()), remedy="")
+            return withheld(reason + self._other_sign(), remedy="")
         if reason := wrong_unit_of(driven.power / driven.speed, driven.a, self._config.prior.mass_kg[0]):
             return withheld(reason, status=Status.INVALID)
         found = self._fit(strides, held, is_last)
@@ -218,7 +223,7 @@ class RoadInference:
         changes = gain_changes(found)
         conflict, found = changes.contradiction(found), changes.averaged(found).checked()
         if reason := self._undetermined(found):
-            return replace(withheld(conflict or reason), parts_contradict=bool(conflict))
+            return withheld(conflict, remedy=EACH_LOAD) if conflict else withheld(reason)
         estimate = self._judge(t, found, conflict, withheld)
         return replace(estimate, doubt=doubt.sentence) if estimate.status is Status.ESTIMATED else estimate
 
@@ -282,7 +287,7 @@ class RoadInference:
         if reason := self._gate.missing_coverage(coverage) or selected or _outside(judged, *bounds):
             return withheld(reason, coverage)
         if conflict:
-            return replace(withheld(conflict, coverage), parts_contradict=True)
+            return withheld(conflict, coverage, remedy=EACH_LOAD)
         reasons = self._reasons(judged, found, *bounds)
         if "m" in reasons:
             return withheld(reasons["m"], coverage)

@@ -33,7 +33,6 @@ from estimator.model.road_scales import SCALES, SIGNAL_SCALES
 from estimator.signals import Floats
 from estimator.strides import Strides
 
-SLOPES = ("grade", "gravity")  # the SIGNALS that are in proportion to the slope
 MIN_LOG_BF = 8.0  # of both, as for a place where the vehicle turns; 27 of 27 trips of the BMW i3 exceed them
 
 SearchOf = Callable[[Strides], Search | None]
@@ -59,7 +58,7 @@ def _readings(strides: Strides) -> list[tuple[str, Floats]]:
 def reversed_in(found: RoadFit) -> tuple[str, ...]:
     """Names of the signals of slope in a fit that fall where its road climbs: their sign is wrong, or it is no road."""
     falling = list[str]()
-    for name in SLOPES:
+    for name in ("grade", "gravity"):  # those in proportion to the slope
         values = getattr(found.strides, name)
         known = np.isfinite(values)
         if known.any() and np.sum((values[known] - values[known].mean()) * found.slope[known]) < 0:

@@ -20,10 +20,6 @@ def next_step(run: Run) -> str:
         return final.remedy
     if final.status == Status.INVALID:
         return f"check with `roadload inspect` what the reason names; where that is right, {DIAGNOSE}"
-    if final.parts_contradict:
-        return (
-            f"give the logs of each load alone, if the load changed on the way: a longer log has both; else {DIAGNOSE}"
-        )
     gate = pipeline.config.gate
     if final.admitted < gate.minimum_samples:
         needed = gate.minimum_samples * STEP / 60

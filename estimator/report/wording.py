@@ -174,14 +174,11 @@ def configuration(d: Diagnosis) -> str:
 
 
 def beyond_estimate(d: Diagnosis) -> str:
-    """Sentence on effects found that `roadload estimate` cannot have, for no signal shows their times; else empty."""
-    if d.streaming_effects or not d.effects or d.final is None:
+    """Sentence on effects found that `roadload estimate` cannot have; empty if there are none."""
+    if not d.beyond_streaming:
         return ""
-    timed = [label(f.name) for f in d.effects if f.span]
-    if not timed:
-        return ""
-    acts, it = ("acts", "it") if len(timed) == 1 else ("act", "them")
-    when = f"no signal shows when {listed(timed)} {acts}"
+    acts, it = ("acts", "it") if len(d.beyond_streaming) == 1 else ("act", "them")
+    when = f"no signal shows when {listed([label(name) for name in d.beyond_streaming])} {acts}"
     return f"{when}, so roadload estimate cannot have {it}: take mass, A and C from here"
 
 

@@ -31,7 +31,6 @@ from estimator.diagnosis.result import (
     Magnitude,
     NotTestable,
     Shift,
-    Span,
     Traces,
 )
 from estimator.diagnosis.thresholds import Thresholds
@@ -54,6 +53,18 @@ CONTRACT = {
 
 
 # JSON
+
+ROAD_PART = Part(
+    cause=ROAD,
+    is_given=False,
+    share=1.0,
+    q05=0.97,
+    q95=1.01,
+    rms=7_400.0,
+    held_out_rms=2_900.0,
+    expected=1_700.0,
+    closed=(1.0, 1.0, 1.0),
+)
 
 
 @pytest.mark.parametrize("name", DIAGNOSES)
@@ -294,18 +305,7 @@ def test_the_steps_of_the_residual_begin_with_the_power_as_it_came() -> None:
 
 def test_a_road_that_no_signal_shows_is_a_step_by_the_force_alone() -> None:
     fan = finding("auxiliary_cycling", 1.0, rms_before=13.4e3, rms_after=2_500.0)
-    road = Part(
-        cause=ROAD,
-        is_given=False,
-        share=1.0,
-        q05=0.97,
-        q95=1.01,
-        rms=7_400.0,
-        held_out_rms=2_900.0,
-        expected=1_700.0,
-        closed=(1.0, 1.0, 1.0),
-    )
-    budget = Budget(base=13.4e3, held_out_rms=2_500.0, parts=(road,))
+    budget = Budget(base=13.4e3, held_out_rms=2_500.0, parts=(ROAD_PART,))
     d = changed(effects=(HILLS, fan), rms_base=13.4e3, rms_final=2_500.0, budget=budget)
     steps = [("plain model", 13.4e3), ("+ grade by the force alone", 2_900.0), ("+ auxiliary cycling", 2_500.0)]
     assert wording.ladder(d) == steps
@@ -443,18 +443,7 @@ def test_effects_that_run_alike_are_said_to_be_inseparable() -> None:
 
 def test_the_residuals_of_the_budget_are_said_to_be_of_one_cause_alone() -> None:
     """Beside them the steps of the ladder add the effects to each other."""
-    road = Part(
-        cause=ROAD,
-        is_given=False,
-        share=0.9,
-        q05=0.9,
-        q95=0.9,
-        rms=7e3,
-        held_out_rms=4e3,
-        expected=3e3,
-        closed=(1.0, 1.0, 1.0),
-    )
-    d = changed(budget=Budget(base=13.4e3, held_out_rms=4e3, parts=(road,)))
+    d = changed(budget=Budget(base=13.4e3, held_out_rms=4e3, parts=(ROAD_PART,)))
     assert "Both residuals at the right are of one cause alone; below, effects are added one to the other." in page(d)
     assert '<th scope="col">left once added alone</th>' in page(d)
     assert "left once added alone" in printed(d)
@@ -554,8 +543,8 @@ def test_terminal_says_all_in_a_screenful() -> None:
 
 
 def test_an_estimate_that_cannot_have_what_was_found_is_not_advised() -> None:
-    d = dataclasses.replace(rich(), streaming_effects=(), deviation=Shift(210.0, 42.0, 0.12))
-    d = dataclasses.replace(d, effects=tuple(dataclasses.replace(f, span=(Span(60.0, 120.0),)) for f in d.effects))
+    timed = ("headwind", "auxiliary_cycling")
+    d = dataclasses.replace(rich(), streaming_effects=(), beyond_streaming=timed, deviation=Shift(210.0, 42.0, 0.12))
     said = "o signal shows when headwind and auxiliary cycling act, so roadload estimate cannot have them: take mass, A"
     assert said in " ".join(printed(d, 400).split())
     assert said in page(d)

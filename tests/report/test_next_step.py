@@ -17,7 +17,6 @@ def run(
     status: Status,
     admitted: int,
     coverage: Coverage,
-    parts_contradict: bool = False,
     remedy: str | None = None,
 ) -> Run:
     pipeline = Pipeline(from_dict({}))
@@ -27,7 +26,6 @@ def run(
         reason="a reason",
         coverage=coverage,
         admitted=admitted,
-        parts_contradict=parts_contradict,
         remedy=remedy,
     )
     return Run(pipeline=pipeline, updates=[update], skipped=Counter(), mixed_channels=Counter())
@@ -41,7 +39,6 @@ def run(
         (run(Status.UNESTIMATED, 5000, UNKNOWN), "the boxes of [prior]"),
         (run(Status.UNESTIMATED, 5000, NARROW), "with more speeds and accelerations"),
         (run(Status.UNESTIMATED, 5000, WIDE), "`roadload diagnose` with the same logs"),
-        (run(Status.UNESTIMATED, 5000, WIDE, parts_contradict=True), "give the logs of each load alone"),
         (run(Status.INVALID, 5000, WIDE), "`roadload diagnose` with the same logs"),
         (run(Status.UNESTIMATED, 5000, UNKNOWN, remedy="leave it out"), "leave it out"),
         (run(Status.UNESTIMATED, 5000, UNKNOWN, remedy=""), ""),
@@ -50,7 +47,3 @@ def run(
 def test_the_advice_fits(case: Run, advice: str) -> None:
     assert advice in next_step(case)
     assert bool(next_step(case)) == bool(advice)
-
-
-def test_a_longer_log_is_no_advice_where_parts_of_it_contradict_each_other() -> None:
-    assert "give a longer log" not in next_step(run(Status.UNESTIMATED, 5000, WIDE, parts_contradict=True))
